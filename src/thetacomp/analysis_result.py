@@ -1,0 +1,35 @@
+"""Everything one analysis produced: what the report draws and the files are written from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from thetacomp.campaign import CorrelationTable, MachineFolder
+from thetacomp.keypoints.result import AxisKeyPoints
+from thetacomp.models.document import ModelDocument
+from thetacomp.separation.result import ComponentSeparation
+from thetacomp.temperature.result import LayoutCheck, SensorRise
+from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Result of one run of the analysis wing.
+
+    `parameter_correlations` has rows such as `EYX intercept` and the sensors as columns; `sensor_correlations` is
+    sensors by sensors. `permutations` are absent where too few states exist to shuffle.
+    """
+
+    folder: MachineFolder
+    rises: tuple[SensorRise, ...]
+    layout: tuple[LayoutCheck, ...]
+    separations: tuple[ComponentSeparation, ...]
+    parameter_correlations: CorrelationTable
+    sensor_correlations: CorrelationTable
+    key_points: tuple[AxisKeyPoints, ...]
+    model: ModelDocument
+    paper_model: ModelDocument
+    validation: tuple[ValidationRow, ...]
+    permutations: tuple[PermutationTest, ...]
+    acceptance: tuple[AcceptanceCheck, ...]
+    notes: tuple[str, ...]

@@ -1,0 +1,123 @@
+"""`model.json`: the one document that passes from the analysis wing to the machine wing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+from pydantic import ValidationError
+
+from thetacomp.errors import ModelFileError
+from thetacomp.machine import Axis, Strict
+
+FORMAT = 1
+
+
+class Reference(Strict):
+    """The state at which the thermal error counts as zero: temperatures of the inputs at that moment."""
+
+    campaign: str
+    t_s: float
+    temperature_degC: dict[str, float]
+
+
+class LinearTerm(Strict):
+    """`constant + Σ coefficient_j (θ_j - θ_j,reference)`, in the unit that the owner states.
+
+    `covariance` is that of (constant, coefficients); `residual_sd` the standard deviation of the fit's residuals
+    with `dof` degrees of freedom.
+    """
+
+    constant: float
+    coefficients_per_K: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    residual_sd: float
+    r_squared: float
+
+
+class Component(Strict):
+    """Thermal part of one error component: `E = intercept + slope (p - p0_mm) / 1000`, in µm.
+
+    `intercept` is in µm, `slope` in µm/m; `slope`, `axis` and the positions are absent for drift at a fixed position.
+    `residual_correlation` is that between the residuals of intercept and slope; `residual_um` holds the RMS and the
+    maximum of what remains over the travel on the training states. Both terms share `inputs` and `dof`.
+    """
+
+    direction: Literal["X", "Y", "Z"]
+    axis: str | None
+    p0_mm: float | None
+    p_min_mm: float | None
+    p_max_mm: float | None
+    reference: Reference
+    inputs: tuple[str, ...]
+    intercept: LinearTerm
+    slope: LinearTerm | None
+    residual_correlation: float
+    dof: int
+    states: int
+    residual_um: tuple[float, float]
+    equation: str
+
+
+class Training(Strict):
+    """What the model was trained on. `range_degC` is the span of each input, `range_rise_K` that of its rise."""
+
+    campaigns: tuple[str, ...]
+    mode: str
+    instrument: str
+    datum: Literal["campaign", "common"]
+    range_degC: dict[str, tuple[float, float]]
+    range_rise_K: dict[str, tuple[float, float]]
+
+
+class ModelDocument(Strict):
+    """A thermal model as it is stored, read and exported. Units are in the names; see docs/nomenclature.md."""
+
+    kind: Literal["thetacomp model"] = "thetacomp model"
+    format: Literal[1] = 1
+    version: str
+    created: str
+    machine: str
+    axes: tuple[Axis, ...]
+    sign: Literal["stated", "unproven"]
+    method: str
+    components: dict[str, Component]
+    training: Training
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> str:
+        """The document as indented JSON text, non-ASCII letters kept readable."""
+        return json.dumps(self.model_dump(mode="json"), indent=2, ensure_ascii=False) + "\n"
+
+    def save(self, path: Path) -> None:
+        """Write the document as UTF-8 JSON."""
+        path.write_text(self.to_json(), encoding="utf-8")
+
+
+def load_model(path: Path) -> ModelDocument:
+    """Read a stored model. Raises ModelFileError with what was found, what was expected and what to do."""
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ModelFileError(
+            f"{path}: there is no such file. Fix: name the model.json that `thetacomp analyze` wrote."
+        ) from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as exc:
+        raise ModelFileError(f"{path}: not readable as JSON ({exc}). Fix: run `thetacomp analyze` again.") from None
+    if not isinstance(raw, dict) or raw.get("kind") != "thetacomp model":
+        raise ModelFileError(f"{path}: this JSON file is not a thetacomp model (no kind 'thetacomp model').")
+    if raw.get("format") != FORMAT:
+        raise ModelFileError(
+            f"{path}: model format {raw.get('format')!r}; this version reads format {FORMAT}."
+            " Fix: use the thetacomp version that wrote it, or run `thetacomp analyze` again."
+        )
+    try:
+        return ModelDocument.model_validate(raw)
+    except ValidationError as exc:
+        first = exc.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ModelFileError(
+            f"{path}: {place}: {first['msg']} ({exc.error_count()} problems in all)."
+            " Fix: do not edit model files by hand; run `thetacomp analyze` again."
+        ) from None

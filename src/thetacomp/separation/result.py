@@ -1,0 +1,106 @@
+"""What separation gives: geometry, slope and intercept of every component at every state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thetacomp.campaign import Floats, Ints
+
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class GeometryCurve:
+    """`G(p)` of one approach direction (+1, -1; 0: not known) on a grid: `value_um` and its standard error."""
+
+    direction: int
+    position_mm: Floats
+    value_um: Floats
+    se_um: Floats
+
+
+@dataclass(frozen=True)
+class Points:
+    """Measured points of one component with what the separation made of them, each (n,).
+
+    `thermal_um` is the measured error less the geometry; `line_um` the separated thermal line at the point's own
+    time; their difference is the residual. Outliers carry no weight in the fit and are left out of validation.
+    """
+
+    t_s: Floats
+    sweep: Ints
+    position_mm: Floats
+    direction: Ints
+    error_um: Floats
+    geometry_um: Floats
+    line_um: Floats
+    outlier: Bools
+
+    @property
+    def thermal_um(self) -> Floats:
+        """Measured error less geometry, (n,)."""
+        return self.error_um - self.geometry_um
+
+    @property
+    def residual_um(self) -> Floats:
+        """What neither geometry nor the thermal line explains, (n,)."""
+        return self.thermal_um - self.line_um
+
+
+@dataclass(frozen=True)
+class LinearityTest:
+    """Test of the assumption that heat changes only slope and intercept of a component.
+
+    `cost_um` is the largest change of shape that a line cannot follow, over travel and states; `cost_se_um` is the
+    standard error of that figure, so a cost below twice it is within the noise.
+    """
+
+    f_statistic: float
+    p_value: float
+    cost_um: float
+    cost_se_um: float
+    holds: bool
+
+
+@dataclass(frozen=True)
+class ComponentSeparation:
+    """One error component in one campaign, states in order of time.
+
+    `component` is a name of ISO 230-1 such as `EYX` (moving `axis` "X") or, at a fixed position, `DX` (`axis` None,
+    slope zero). At `reference_s` slope and intercept are zero; `cold` marks the states that define it.
+    Standard errors are NaN where the parameters came already separated; `points`, `geometry` and `linearity` are
+    absent then.
+    """
+
+    campaign: str
+    component: str
+    direction: str
+    axis: str | None
+    p0_mm: float
+    p_min_mm: float
+    p_max_mm: float
+    reference_s: float
+    sweep: Ints
+    t_s: Floats
+    cold: Bools
+    intercept_um: Floats
+    intercept_se_um: Floats
+    slope_um_per_m: Floats
+    slope_se_um_per_m: Floats
+    rms_um: Floats
+    noise_sd_um: float
+    dof: float
+    geometry_model: str = ""
+    geometry: tuple[GeometryCurve, ...] = ()
+    points: Points | None = None
+    linearity: LinearityTest | None = None
+    reversal_um: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def line_um(self, state: int, position_mm: Floats) -> Floats:
+        """The separated thermal line of one state at `position_mm`."""
+        lever_m = (position_mm - self.p0_mm) / 1000.0
+        return np.asarray(self.intercept_um[state] + self.slope_um_per_m[state] * lever_m)
