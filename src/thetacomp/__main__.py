@@ -1,0 +1,5 @@
+"""Lets `python -m thetacomp` run the command."""
+
+from thetacomp.cli.main import app
+
+app()
