@@ -1,0 +1,1 @@
+"""Thermal models: the regression, the procedures that choose its inputs, and the stored document."""

@@ -1,0 +1,13 @@
+"""Separation of measured errors into geometry, slope and intercept (paper, section 2)."""
+
+from thetacomp.separation.result import ComponentSeparation, GeometryCurve, LinearityTest, Points
+from thetacomp.separation.separate import separate_campaign, separate_folder
+
+__all__ = [
+    "ComponentSeparation",
+    "GeometryCurve",
+    "LinearityTest",
+    "Points",
+    "separate_campaign",
+    "separate_folder",
+]

@@ -70,9 +70,10 @@ class ComponentSeparation:
     """One error component in one campaign, states in order of time.
 
     `component` is a name of ISO 230-1 such as `EYX` (moving `axis` "X") or, at a fixed position, `DX` (`axis` None,
-    slope zero). At `reference_s` slope and intercept are zero; `cold` marks the states that define it.
-    Standard errors are NaN where the parameters came already separated; `points`, `geometry` and `linearity` are
-    absent then.
+    slope zero). At `reference_s` slope and intercept are zero; `cold` marks the states that define it. Where the
+    parameters came already separated, `cold_intercept_um` and `cold_slope_um_per_m` hold what they were in the cold
+    state (that is geometry, and is subtracted here), the standard errors are NaN, and `points`, `geometry` and
+    `linearity` are absent. A missing value is NaN.
     """
 
     campaign: str
@@ -93,6 +94,8 @@ class ComponentSeparation:
     rms_um: Floats
     noise_sd_um: float
     dof: float
+    cold_intercept_um: float = 0.0
+    cold_slope_um_per_m: float = 0.0
     geometry_model: str = ""
     geometry: tuple[GeometryCurve, ...] = ()
     points: Points | None = None

@@ -1,0 +1,1 @@
+"""Validation on held-out data: folds, residuals, column deviation, permutation, acceptance."""

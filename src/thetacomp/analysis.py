@@ -1,0 +1,182 @@
+"""The spine of the analysis wing, readable from top to bottom: separate, choose, fit, validate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from thetacomp.analysis_result import Analysis
+from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.errors import AnalysisError
+from thetacomp.keypoints.states import correlation_tables, parameter_table
+from thetacomp.models.axis_model import AxisModel, Procedure, all_sensors, clock, training_mean
+from thetacomp.models.build import build_document
+from thetacomp.models.procedures import default_procedure, paper_procedure
+from thetacomp.separation import ComponentSeparation, separate_campaign
+from thetacomp.states import AxisStates, axis_states
+from thetacomp.temperature.field import sensor_rises
+from thetacomp.temperature.layout import layout_checks
+from thetacomp.validation.acceptance import acceptance_checks
+from thetacomp.validation.folds import forward_in_time, hold_out, named_test
+from thetacomp.validation.permutation import permutation_test
+from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
+from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, rows_of
+
+SEED = 20120951
+
+Progress = Callable[[str], None]
+
+
+def analyze_folder(
+    folder: MachineFolder,
+    train: Sequence[str] = (),
+    test: Sequence[str] = (),
+    progress: Progress = lambda message: None,
+) -> Analysis:
+    """Run the whole analysis of a machine folder.
+
+    `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
+    one line a step. Raises AnalysisError where the measurements cannot carry an analysis.
+    """
+    train, test = _chosen(folder, train, test)
+    campaigns = [folder.campaign(name) for name in (*train, *test)]
+    _refuse_mixtures(campaigns)
+
+    progress("separating geometry and heat")
+    separations = tuple(result for campaign in campaigns for result in separate_campaign(folder.machine, campaign))
+    if not separations:
+        raise AnalysisError(
+            "there are no sweeps, parameters or drift in the chosen campaigns: nothing to model."
+            " Fix: put sweeps.csv, parameters.csv or drift.csv into a campaign."
+        )
+    everything = axis_states(folder, separations, [*train, *test])
+    training = axis_states(folder, separations, train)
+
+    progress("choosing key points and fitting")
+    procedure, paper = default_procedure(folder.machine), paper_procedure(folder.machine)
+    fitted = _fit(training, procedure)
+    fitted_paper = _fit(training, paper)
+    notes = _notes(campaigns, separations)
+    model = build_document(folder, fitted, "default: weighted key points, least squares", train, notes)
+    paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
+
+    progress("validating on held-out data")
+    residuals, rows = _validate(folder, everything, test, procedure, paper)
+    permutations = _permutations(training, procedure)
+    parameter_correlations, sensor_correlations = correlation_tables([parameter_table(s) for s in training])
+    return Analysis(
+        folder=folder,
+        rises=sensor_rises(folder),
+        layout=layout_checks(folder),
+        separations=separations,
+        parameter_correlations=parameter_correlations,
+        sensor_correlations=sensor_correlations,
+        key_points=tuple(m.key_points for _, m in fitted if m.key_points is not None),
+        model=model,
+        paper_model=paper_model,
+        validation=rows,
+        permutations=permutations,
+        acceptance=acceptance_checks([r for r in residuals if r.split != "forward"], rows, permutations, model),
+        notes=notes,
+    )
+
+
+def _chosen(folder: MachineFolder, train: Sequence[str], test: Sequence[str]) -> tuple[list[str], list[str]]:
+    known = [campaign.name for campaign in folder.campaigns]
+    unknown = [name for name in (*train, *test) if name not in known]
+    if unknown:
+        raise AnalysisError(
+            f"there is no campaign {', '.join(unknown)}; the folder has {', '.join(known)}."
+            " Fix: use these names with --train and --test."
+        )
+    both = sorted(set(train) & set(test))
+    if both:
+        raise AnalysisError(f"campaign {', '.join(both)} is named in --train and in --test. Fix: name it once.")
+    chosen = [name for name in (train or known) if name not in set(test)]
+    if not chosen:
+        raise AnalysisError("no campaign is left for training. Fix: leave one out of --test.")
+    return chosen, list(test)
+
+
+def _refuse_mixtures(campaigns: Sequence[Campaign]) -> None:
+    """Campaigns of different operating modes, or with compensation active, are not mixed unasked."""
+    modes = {campaign.name: campaign.settings.mode for campaign in campaigns}
+    if len(set(modes.values())) > 1:
+        listed = ", ".join(f"{name}: '{mode}'" for name, mode in modes.items())
+        raise AnalysisError(
+            f"the campaigns were measured in different operating modes ({listed}); a model of the mixture fits neither."
+            " Fix: choose campaigns of one mode with --train and --test, or correct `mode` in campaign.toml."
+        )
+    active = [c.name for c in campaigns if c.settings.compensation == "on"]
+    if active:
+        raise AnalysisError(
+            f"compensation was on in campaign {', '.join(active)}: a model of it would be a model of the remainder."
+            " Fix: leave it out with --train; use it in `thetacomp verify`."
+        )
+
+
+def _fit(training: Sequence[AxisStates], procedure: Procedure) -> list[tuple[AxisStates, AxisModel]]:
+    return [(states, procedure(states)) for states in training]
+
+
+def _validate(
+    folder: MachineFolder,
+    everything: Sequence[AxisStates],
+    test: Sequence[str],
+    procedure: Procedure,
+    paper: Procedure,
+) -> tuple[list[Residuals], tuple[ValidationRow, ...]]:
+    """Hold out by campaign or state, and forward in time, with every baseline beside the model."""
+    residuals: list[Residuals] = []
+    rows: list[ValidationRow] = []
+    for states in everything:
+        procedures: dict[str, Procedure] = {
+            "default": procedure,
+            "clock": clock,
+            "one_sensor": paper,
+            "all_sensors": all_sensors,
+        }
+        if folder.campaign(states.campaigns[0]).settings.datum == "common":
+            procedures["training_mean"] = training_mean
+        split, folds = hold_out(states)
+        if test:
+            split, folds = "test", named_test(states, test)
+        own: list[Residuals] = []
+        for kind, some in ((split, folds), ("forward", forward_in_time(states))):
+            if some:
+                own += held_out_residuals(states, kind, some, procedures)
+        cartesian = next((a.cartesian for a in folder.machine.axes if a.name == states.axis), "")
+        for item in own:
+            rows += rows_of(item, states.campaigns)
+        rows += column_rows(states, own, cartesian)
+        residuals += own
+    return residuals, tuple(rows)
+
+
+def _permutations(training: Sequence[AxisStates], procedure: Procedure) -> tuple[PermutationTest, ...]:
+    rng = np.random.default_rng(SEED)
+    tests = (permutation_test(states, procedure, rng) for states in training)
+    return tuple(test for test in tests if test is not None)
+
+
+def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparation]) -> tuple[str, ...]:
+    notes = [
+        f"sign unproven: campaign {campaign.name} does not state its sign convention; a wrong sign doubles the error"
+        for campaign in campaigns
+        if campaign.settings.sign == "unproven"
+    ]
+    notes += [f"origin of campaign {c.name}: {c.settings.origin.strip()}" for c in campaigns if c.settings.origin]
+    notes += [
+        f"campaign {c.name} was measured while the control applied {', '.join(c.settings.active_tables)} compensation;"
+        " these tables must be active whenever the model is used"
+        for c in campaigns
+        if c.settings.active_tables
+    ]
+    notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]
+    return tuple(dict.fromkeys(notes))
+
+
+def fit_for_use(acceptance: Sequence[AcceptanceCheck]) -> bool:
+    """True where every acceptance check is passed."""
+    return all(check.passed for check in acceptance)

@@ -1,0 +1,99 @@
+"""`thetacomp analyze`: from a machine folder to model, validation, report and figures."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
+
+if TYPE_CHECKING:
+    from thetacomp.analysis_result import Analysis
+
+
+def analyze(
+    folder: Annotated[Path, typer.Argument(help="The machine folder.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="Where the results go; made where it does not exist.")],
+    train: Annotated[
+        list[str] | None, typer.Option("--train", help="Campaign to train on; repeat for more. Default: all.")
+    ] = None,
+    test: Annotated[
+        list[str] | None,
+        typer.Option("--test", help="Campaign to test on only; repeat for more. Default: each is held out in turn."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Separate, choose key points, fit, validate; write model.json, tables, figures and report.html."""
+
+    def work() -> Outcome:
+        from thetacomp.analysis import analyze_folder
+        from thetacomp.output import write_tables
+        from thetacomp.reading import read_folder
+        from thetacomp.report import write_report
+
+        def progress(message: str) -> None:
+            if not as_json:
+                typer.echo(f"… {message}", err=True)
+
+        progress("reading")
+        analysis = analyze_folder(read_folder(folder), train or (), test or (), progress)
+        paths = write_tables(analysis, out)
+        progress("drawing")
+        paths += write_report(analysis, out)
+        return summary(analysis, out, paths)
+
+    run(work, as_json)
+
+
+def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
+    """What a person wants to read first: key points, before and after, fit for use or not, where to look."""
+    failed = [check for check in analysis.acceptance if not check.passed]
+    lines = [f"machine {analysis.model.machine}, {len(analysis.model.components)} error components"]
+    for chosen in analysis.key_points:
+        where = f"axis {chosen.axis}" if chosen.axis else "drift"
+        lines.append(
+            f"key points of {where}: {', '.join(chosen.key_points) or 'none, no sensor predicts held-out data'}"
+        )
+    lines += ["", *_before_and_after(analysis), ""]
+    if failed:
+        lines.append("NOT FIT FOR USE yet; failed acceptance checks:")
+        lines += [f"  - {c.name}: {c.statistic:.3g} (must be {c.operator} {c.threshold:g})" for c in failed]
+    else:
+        lines.append(f"fit for use: all {len(analysis.acceptance)} acceptance checks passed")
+    lines += ["", f"open {out / 'report.html'}; model in {out / 'model.json'}"]
+    data = {
+        "fit_for_use": not failed,
+        "key_points": {chosen.axis or "drift": list(chosen.key_points) for chosen in analysis.key_points},
+        "equations": {name: c.equation for name, c in analysis.model.components.items()},
+        "validation": [asdict(row) for row in analysis.validation],
+        "acceptance": [asdict(check) for check in analysis.acceptance],
+        "permutations": [asdict(test) for test in analysis.permutations],
+        "notes": list(analysis.notes),
+        "files": [str(path) for path in paths],
+    }
+    return Outcome("\n".join(lines), data, NOT_FIT if failed else DONE)
+
+
+SHOWN = ("default", "clock", "one_sensor", "all_sensors", "training_mean")
+
+
+def _before_and_after(analysis: Analysis) -> list[str]:
+    """Held-out figures of the column deviation, or of all components where no column was measured."""
+    rows = [row for row in analysis.validation if row.split != "forward" and row.model in SHOWN]
+    column = [row for row in rows if row.component.startswith("column")]
+    pooled = [row for row in (column or rows) if row.campaign == "all"] or column or rows
+    lines = [
+        "held out, in µm              model               max before > after     RMS before > after"
+        "    RMS in-sample   reduction of max"
+    ]
+    lines += [
+        f"{row.component:<10} {row.campaign:<17.17} {row.model:<14}"
+        f" {row.max_before_um:12.1f} > {row.max_after_um:<8.1f}"
+        f"   {row.rms_before_um:8.1f} > {row.rms_after_um:<8.1f} {row.rms_in_sample_um:13.1f}"
+        f"   {row.reduction_percent:14.1f} %"
+        for row in pooled
+    ]
+    return lines

@@ -1,0 +1,190 @@
+"""`thetacomp keypoints`: the sensor strategies on their own, from measurements or from published tables."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import textwrap
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from thetacomp.cli.common import JsonOption, Outcome, run
+
+if TYPE_CHECKING:
+    from thetacomp.campaign import CorrelationTable, MachineFolder
+    from thetacomp.keypoints.result import AxisKeyPoints, StrategyTable
+    from thetacomp.machine import Machine
+
+NARROWEST, WIDEST = 60, 100
+MEASURED, PUBLISHED = "measurements", "correlation tables"
+
+
+class MethodName(StrEnum):
+    """How key points are chosen from measurements."""
+
+    WEIGHTED = "weighted"
+    PAPER = "paper"
+
+
+def keypoints(
+    folder: Annotated[Path | None, typer.Argument(metavar="[DIR]", help="Machine folder.", show_default=False)] = None,
+    method: Annotated[
+        MethodName,
+        typer.Option(help="weighted: by µm over the travel, held out. paper: by regret of correlation."),
+    ] = MethodName.WEIGHTED,
+    parameter_correlations: Annotated[
+        Path | None,
+        typer.Option("--parameter-correlations", help="Table of parameters against sensors; replaces measurements."),
+    ] = None,
+    sensor_correlations: Annotated[
+        Path | None, typer.Option("--sensor-correlations", help="Table of sensors against each other.")
+    ] = None,
+    machine: Annotated[
+        Path | None, typer.Option("--machine", help="machine.toml that says which sensors sit on which drive.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Choose the sensors that matter, and say for every sensor why it stayed or went."""
+    if (parameter_correlations is None) != (sensor_correlations is None):
+        raise typer.BadParameter("--parameter-correlations and --sensor-correlations belong together: give both.")
+    if parameter_correlations is None and folder is None:
+        raise typer.BadParameter("give a machine folder, or both correlation tables.")
+    if machine is not None and folder is not None:
+        raise typer.BadParameter("--machine is for correlation tables without a folder; a folder has its machine.toml.")
+    if parameter_correlations is not None and sensor_correlations is not None:
+        tables = (parameter_correlations, sensor_correlations)
+        run(lambda: _from_tables(tables, folder, machine), as_json)
+    elif folder is not None:
+        path = folder
+        run(lambda: _from_folder(path, method), as_json)
+
+
+def _from_tables(tables: tuple[Path, Path], folder: Path | None, machine: Path | None) -> Outcome:
+    from thetacomp.keypoints.selection import key_points_from_correlations
+    from thetacomp.reading import read_correlations, read_folder, read_machine
+
+    known: Machine | None = None
+    if folder is not None:
+        known = read_folder(folder).machine
+    elif machine is not None:
+        known = read_machine(machine)
+    parameters, sensors = read_correlations(tables[0]), read_correlations(tables[1])
+    found = key_points_from_correlations(parameters, sensors, known)
+    notes = [_about_the_rule(parameters)]
+    if known is None:
+        notes.append("No --machine: drives are not known, so the middle of each group stands for it.")
+    return _outcome([(PUBLISHED, found)], notes)
+
+
+def _from_folder(path: Path, method: MethodName) -> Outcome:
+    from thetacomp.keypoints.selection import key_points, key_points_from_correlations
+    from thetacomp.reading import read_folder
+    from thetacomp.separation import separate_folder
+
+    folder = read_folder(path)
+    notes: list[str] = []
+    found: list[tuple[str, tuple[AxisKeyPoints, ...]]] = []
+    if folder.parameter_correlations is not None and folder.sensor_correlations is not None:
+        published = key_points_from_correlations(
+            folder.parameter_correlations, folder.sensor_correlations, folder.machine
+        )
+        found.append((PUBLISHED, published))
+        notes.append(_about_the_rule(folder.parameter_correlations))
+    found.append((MEASURED, key_points(folder, separate_folder(folder), method.value)))
+    return _outcome(found, [*notes, *_about_the_sign(folder)])
+
+
+def _about_the_rule(table: CorrelationTable) -> str:
+    return (
+        f"The choice from correlation tables weighs all {len(table.rows)} parameters alike, even those without any"
+        " relation: use it to follow a publication. For your own machine use measurements."
+    )
+
+
+def _about_the_sign(folder: MachineFolder) -> list[str]:
+    unproven = [c.name for c in folder.campaigns if c.settings.sign == "unproven"]
+    if not unproven:
+        return []
+    return [f"Sign unproven in campaign {', '.join(unproven)}. The choice of sensors does not depend on the sign."]
+
+
+def _outcome(found: list[tuple[str, tuple[AxisKeyPoints, ...]]], notes: list[str]) -> Outcome:
+    """All axes as text and as data. The tables of one axis follow its result."""
+    parts = [_summary(found)]
+    axes: list[dict[str, Any]] = []
+    for source, results in found:
+        for result in results:
+            parts.append(_axis_text(source, result))
+            axes.append({"source": source, **_data(result)})
+    parts += [textwrap.fill(note, _width()) for note in notes]
+    return Outcome("\n\n".join(parts), {"axes": axes, "notes": notes})
+
+
+def _data(result: AxisKeyPoints) -> dict[str, Any]:
+    data = asdict(result)
+    data["left_out"] = [{"parameter": name, "reason": reason} for name, reason in result.left_out]
+    return data
+
+
+def _axis_name(axis: str) -> str:
+    return f"axis {axis}" if axis else "drift at a fixed position"
+
+
+def _summary(found: list[tuple[str, tuple[AxisKeyPoints, ...]]]) -> str:
+    lines = ["Key points"]
+    for source, results in found:
+        for result in results:
+            chosen = ", ".join(result.key_points) or "none"
+            lines.append(f"  {_axis_name(result.axis)}, from {source} ({result.method}): {chosen}")
+    return "\n".join(lines)
+
+
+def _axis_text(source: str, result: AxisKeyPoints) -> str:
+    name = _axis_name(result.axis)
+    title = f"{name[0].upper()}{name[1:]}, from {source}, method {result.method}"
+    smallest = result.smallest_correlation
+    inside = "" if math.isnan(smallest) else f" (smallest |r| inside: {smallest:.2f})"
+    groups = "; ".join(", ".join(group) for group in result.groups) or "none"
+    lines = [title, "=" * len(title)]
+    lines += _wrapped("Key points:   ", ", ".join(result.key_points) or "none")
+    lines += _wrapped("Main factors: ", (", ".join(result.main_factors) or "none") + inside)
+    lines += _wrapped("Groups:       ", groups)
+    for name, reason in result.left_out:
+        lines += _wrapped("Left out:     ", f"{name}: {reason}")
+    for table in result.tables:
+        if table.verdicts:
+            lines += ["", *_table_text(table)]
+    return "\n".join(lines)
+
+
+def _table_text(table: StrategyTable) -> list[str]:
+    """One strategy: those that stay first; reasons wrap under themselves, so a narrow console shows them whole."""
+    title = table.strategy[0].upper() + table.strategy[1:]
+    width = max(len(v.sensor) for v in table.verdicts)
+    digits = 2 if "|r|" in table.figure_name else 1
+    lines = _wrapped("", f"{title}: {table.figure_name}")
+    without_figure: dict[str, list[str]] = {}
+    for verdict in sorted(table.verdicts, key=lambda v: not v.stays):
+        if math.isnan(verdict.figure) and not verdict.stays:
+            without_figure.setdefault(verdict.reason, []).append(verdict.sensor)
+            continue
+        head = (
+            f"  {verdict.sensor:<{width}}  {'stays' if verdict.stays else 'goes ':<5}  {verdict.figure:6.{digits}f}  "
+        )
+        lines += _wrapped(head, verdict.reason)
+    for reason, sensors in without_figure.items():
+        lines += _wrapped("  ", f"{', '.join(sensors)}: {reason}")
+    return lines
+
+
+def _width() -> int:
+    # One column less than the console: a full line makes a Windows console add an empty one.
+    return max(NARROWEST, min(shutil.get_terminal_size((WIDEST + 1, 24)).columns - 1, WIDEST))
+
+
+def _wrapped(head: str, text: str) -> list[str]:
+    return textwrap.wrap(text, _width(), initial_indent=head, subsequent_indent=" " * len(head)) or [head.rstrip()]

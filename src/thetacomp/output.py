@@ -1,0 +1,120 @@
+"""The files that an analysis leaves behind, besides the report."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
+
+from thetacomp.analysis_result import Analysis
+from thetacomp.validation.result import ValidationRow
+
+
+def write_tables(analysis: Analysis, out: Path) -> tuple[Path, ...]:
+    """Write model.json, separation.csv, geometry.csv, keypoints.csv, validation.csv, acceptance.csv; return the paths.
+
+    Numbers have a decimal point and six significant digits, a missing value is an empty cell, the text is UTF-8.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    analysis.model.save(out / "model.json")
+    forward = [row for row in analysis.validation if row.split == "forward"]
+    held_out = [row for row in analysis.validation if row.split != "forward"]
+    return (
+        out / "model.json",
+        _table(out / "separation.csv", SEPARATION_COLUMNS, _separation_rows(analysis)),
+        _table(out / "geometry.csv", GEOMETRY_COLUMNS, _geometry_rows(analysis)),
+        _table(out / "keypoints.csv", KEYPOINT_COLUMNS, _keypoint_rows(analysis)),
+        _validation(out / "validation.csv", held_out),
+        _validation(out / "validation_forward.csv", forward),
+        _table(
+            out / "acceptance.csv",
+            ("name", "statistic", "operator", "threshold", "passed", "meaning"),
+            (astuple(check) for check in analysis.acceptance),
+        ),
+    )
+
+
+SEPARATION_COLUMNS = (
+    "campaign",
+    "sweep",
+    "t_s",
+    "component",
+    "intercept_um",
+    "intercept_se_um",
+    "slope_um_per_m",
+    "slope_se_um_per_m",
+    "rms_um",
+    "p0_mm",
+    "cold",
+)
+GEOMETRY_COLUMNS = ("campaign", "component", "direction", "position_mm", "geometry_um", "geometry_se_um", "model")
+KEYPOINT_COLUMNS = ("axis", "method", "strategy", "sensor", "stays", "figure", "figure_name", "reason")
+
+
+def _separation_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+    for s in analysis.separations:
+        for k in range(len(s.t_s)):
+            yield (
+                s.campaign,
+                int(s.sweep[k]),
+                s.t_s[k],
+                s.component,
+                s.intercept_um[k],
+                s.intercept_se_um[k],
+                s.slope_um_per_m[k],
+                s.slope_se_um_per_m[k],
+                s.rms_um[k],
+                s.p0_mm,
+                int(s.cold[k]),
+            )
+
+
+def _geometry_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+    sign = {1: "+", -1: "-", 0: ""}
+    for s in analysis.separations:
+        for curve in s.geometry:
+            for p, value, se in zip(curve.position_mm, curve.value_um, curve.se_um, strict=True):
+                yield s.campaign, s.component, sign[curve.direction], p, value, se, s.geometry_model
+
+
+def _keypoint_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+    for chosen in analysis.key_points:
+        for table in chosen.tables:
+            for v in table.verdicts:
+                yield (
+                    chosen.axis,
+                    chosen.method,
+                    table.strategy,
+                    v.sensor,
+                    int(v.stays),
+                    v.figure,
+                    table.figure_name,
+                    v.reason,
+                )
+        for parameter, reason in chosen.left_out:
+            yield chosen.axis, chosen.method, "parameters left out", parameter, 0, math.nan, "", reason
+        for sensor in chosen.key_points:
+            yield chosen.axis, chosen.method, "key points", sensor, 1, math.nan, "", "input of the model"
+
+
+def _validation(path: Path, rows: Sequence[ValidationRow]) -> Path:
+    names = tuple(field.name for field in fields(ValidationRow))
+    return _table(path, names, (astuple(row) for row in rows))
+
+
+def _table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([_cell(value) for value in row] for row in rows)
+    return path
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, bool):
+        return int(value)
+    if isinstance(value, float):
+        return f"{value:.6g}" if math.isfinite(value) else ""
+    return value

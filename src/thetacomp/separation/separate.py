@@ -1,0 +1,291 @@
+"""From the measurements of a campaign to the separated parameters of every component."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Parameters
+from thetacomp.errors import AnalysisError
+from thetacomp.machine import Axis, Machine
+from thetacomp.separation.joint import ComponentData, JointFit, fit_component, shape_change
+from thetacomp.separation.reference import reference_time_s, sweep_table
+from thetacomp.separation.result import ComponentSeparation, GeometryCurve, LinearityTest, Points
+
+GRID_POINTS = 101
+# The shape test asks for strong evidence: with six components and eight states it is made often.
+SHAPE_TEST_LEVEL = 0.01
+
+
+def separate_folder(folder: MachineFolder) -> tuple[ComponentSeparation, ...]:
+    """Separate every campaign of a folder, in the order of the folder."""
+    return tuple(result for campaign in folder.campaigns for result in separate_campaign(folder.machine, campaign))
+
+
+def separate_campaign(machine: Machine, campaign: Campaign) -> tuple[ComponentSeparation, ...]:
+    """Separate all components of one campaign: from sweeps, from separated parameters, and the drift.
+
+    Raises AnalysisError where an axis has too few points, or where the reference lies outside the measurements.
+    """
+    reference_s = reference_time_s(campaign)
+    results: list[ComponentSeparation] = []
+    if campaign.sweeps is not None:
+        for axis in machine.axes:
+            results += _separate_axis(axis, campaign, reference_s)
+    if campaign.parameters is not None:
+        results += _from_parameters(campaign, campaign.parameters, reference_s)
+    if campaign.drift is not None:
+        results += _from_drift(campaign, reference_s)
+    return tuple(results)
+
+
+def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[ComponentSeparation]:
+    points = campaign.sweeps
+    assert points is not None
+    rows = np.array([name == axis.name for name in points.axis], dtype=bool)
+    if not rows.any():
+        return []
+    table = sweep_table(points)
+    own = [number for number, name in zip(table.sweep, table.axis, strict=True) if name == axis.name]
+    ends = dict(zip(table.sweep, table.end_s, strict=True))
+    cold = np.array([ends[number] <= reference_s + 1.0 for number in own])
+    notes: list[str] = []
+    if not cold.any():
+        # Better than refusing: the first sweep carries little heat; the user is told what it means.
+        cold[0] = True
+        notes.append(
+            f"no sweep of axis {axis.name} ended before the reference ({reference_s:.0f} s); its first sweep serves as"
+            " the cold state, so heat before that sweep is not seen"
+        )
+    results = []
+    for index, direction in enumerate(CARTESIAN):
+        usable = rows & np.isfinite(points.error_um[:, index])
+        if not usable.any():
+            continue
+        number = {sweep: k for k, sweep in enumerate(own)}
+        counts = np.array([np.count_nonzero(usable & (points.sweep == sweep)) for sweep in own])
+        if counts.min() < 3:
+            raise AnalysisError(
+                f"campaign {campaign.name}: sweep {own[int(counts.argmin())]} of axis {axis.name} has"
+                f" {counts.min()} points with d{direction}_um; a line needs at least 3."
+                " Fix: complete the sweep or remove it."
+            )
+        sweep_index = np.array([number[s] for s in points.sweep[usable]])
+        data = ComponentData(
+            position_mm=points.position_mm[usable],
+            t_s=points.t_s[usable],
+            direction=points.direction[usable],
+            sweep=sweep_index,
+            error_um=points.error_um[usable, index],
+            middle_s=np.array([points.t_s[usable & (points.sweep == sweep)].mean() for sweep in own]),
+            cold=cold,
+            reference_s=reference_s,
+            p0_mm=float(np.mean(axis.travel_mm)),
+            angle_sd_urad=(campaign.settings.instrument_u_um_per_m or 0.0) / 2.0,
+        )
+        if len(np.unique(data.position_mm)) < 3:
+            raise AnalysisError(
+                f"campaign {campaign.name}: axis {axis.name} was measured at fewer than 3 positions."
+                " Fix: sweeps need targets spread over the travel."
+            )
+        results.append(_component(axis, campaign, direction, data, np.array(own), notes))
+    return results
+
+
+def _component(
+    axis: Axis, campaign: Campaign, direction: str, data: ComponentData, own: np.ndarray, notes: list[str]
+) -> ComponentSeparation:
+    fit = fit_component(data)
+    count = len(own)
+    intercept, slope = np.zeros(count), np.zeros(count)
+    intercept_se, slope_se = np.zeros(count), np.zeros(count)
+    intercept[fit.states], slope[fit.states] = fit.intercept_um, fit.slope_um_per_m
+    intercept_se[fit.states], slope_se[fit.states] = fit.intercept_se_um, fit.slope_se_um_per_m
+    residual = data.error_um - fit.geometry_um - fit.line_um
+    good = ~fit.outlier
+    rms = [
+        float(np.sqrt(np.mean(residual[good & (data.sweep == k)] ** 2))) if (good & (data.sweep == k)).any() else np.nan
+        for k in range(count)
+    ]
+    curves = _geometry_curves(data, fit)
+    own_notes = list(notes)
+    settings = campaign.settings
+    if settings.instrument_u_um is not None and fit.noise_sd_um > settings.instrument_u_um:
+        own_notes.append(
+            f"points scatter by {fit.noise_sd_um:.1f} µm (one standard deviation), more than twice what the stated"
+            f" uncertainty of {settings.instrument_u_um:g} µm (expanded) allows"
+        )
+    if settings.instrument_u_um_per_m is None:
+        own_notes.append(
+            "instrument_u_um_per_m is not stated: the standard errors hold the scatter of the points only,"
+            " not an angle error common to a sweep"
+        )
+    return ComponentSeparation(
+        campaign=campaign.name,
+        component=f"E{direction}{axis.name}",
+        direction=direction,
+        axis=axis.name,
+        p0_mm=data.p0_mm,
+        p_min_mm=float(data.position_mm.min()),
+        p_max_mm=float(data.position_mm.max()),
+        reference_s=data.reference_s,
+        sweep=own,
+        t_s=data.middle_s,
+        cold=data.cold,
+        intercept_um=intercept,
+        intercept_se_um=intercept_se,
+        slope_um_per_m=slope,
+        slope_se_um_per_m=slope_se,
+        rms_um=np.array(rms),
+        noise_sd_um=fit.noise_sd_um,
+        dof=fit.dof,
+        geometry_model=fit.curve.name,
+        geometry=curves,
+        points=Points(
+            t_s=data.t_s,
+            sweep=own[data.sweep],
+            position_mm=data.position_mm,
+            direction=data.direction,
+            error_um=data.error_um,
+            geometry_um=fit.geometry_um,
+            line_um=fit.line_um,
+            outlier=fit.outlier,
+        ),
+        linearity=_linearity(data, fit),
+        reversal_um=_reversal_um(curves),
+        notes=tuple(own_notes),
+    )
+
+
+def _geometry_curves(data: ComponentData, fit: JointFit) -> tuple[GeometryCurve, ...]:
+    grid = np.linspace(data.position_mm.min(), data.position_mm.max(), GRID_POINTS)
+    basis = fit.curve.basis(grid)
+    curves = []
+    for k, direction in enumerate(fit.directions):
+        part = slice(k * fit.curve.size, (k + 1) * fit.curve.size)
+        variance = np.einsum("ij,jk,ik->i", basis, fit.geometry_covariance[part, part], basis)
+        curves.append(
+            GeometryCurve(direction, grid, basis @ fit.geometry_coefficients[part], np.sqrt(np.maximum(variance, 0.0)))
+        )
+    return tuple(curves)
+
+
+def _reversal_um(curves: tuple[GeometryCurve, ...]) -> float | None:
+    """Mean difference between the approaches, positive minus negative (ISO 230-2 calls its size reversal B)."""
+    by_direction = {curve.direction: curve for curve in curves}
+    if 1 not in by_direction or -1 not in by_direction:
+        return None
+    return float(np.mean(by_direction[1].value_um - by_direction[-1].value_um))
+
+
+def _linearity(data: ComponentData, fit: JointFit) -> LinearityTest | None:
+    """F-test of a change of shape in the heated sweeps against the scatter of the points."""
+    if not len(fit.states):
+        return None
+    rss_line, rss_shape, terms, change, se = shape_change(data, fit)
+    freedom = fit.dof - terms
+    if freedom < 5:
+        return None
+    statistic = max((rss_line - rss_shape) / terms / (rss_shape / freedom), 0.0)
+    p_value = float(stats.f.sf(statistic, terms, freedom))
+    worst = int(np.argmax(np.abs(change)))
+    return LinearityTest(
+        f_statistic=float(statistic),
+        p_value=p_value,
+        cost_um=float(abs(change[worst])),
+        cost_se_um=float(se[worst]),
+        holds=p_value >= SHAPE_TEST_LEVEL,
+    )
+
+
+def _from_parameters(campaign: Campaign, table: Parameters, reference_s: float) -> list[ComponentSeparation]:
+    results = []
+    moments = np.unique(table.t_s)
+    for component in dict.fromkeys(table.component):
+        rows = np.array([name == component for name in table.component])
+        rows = np.flatnonzero(rows)[np.argsort(table.t_s[rows], kind="stable")]
+        t_s = table.t_s[rows]
+        cold = t_s <= reference_s + 1.0
+        is_drift = component[0] == "D"
+        intercept = table.intercept_um[rows]
+        slope = np.zeros(len(rows)) if is_drift else table.slope_um_per_m[rows]
+        cold_intercept, cold_slope = _cold_value(intercept, cold), _cold_value(slope, cold)
+        notes: tuple[str, ...] = ()
+        if not np.isfinite([cold_intercept, cold_slope]).all():
+            cold_intercept = cold_slope = 0.0
+            notes = (
+                f"{component} has no complete state at or before the reference; it is not referred to the cold state",
+            )
+        nan = np.full(len(rows), np.nan)
+        results.append(
+            ComponentSeparation(
+                campaign=campaign.name,
+                component=component,
+                direction=component[1],
+                axis=None if is_drift else component[2:],
+                p0_mm=float(table.p0_mm[rows[0]]),
+                p_min_mm=float(np.nanmin(table.p_min_mm[rows])),
+                p_max_mm=float(np.nanmax(table.p_max_mm[rows])),
+                reference_s=reference_s,
+                sweep=np.searchsorted(moments, t_s),
+                t_s=t_s,
+                cold=cold,
+                intercept_um=intercept - cold_intercept,
+                intercept_se_um=nan,
+                slope_um_per_m=slope - cold_slope,
+                slope_se_um_per_m=nan,
+                rms_um=nan,
+                noise_sd_um=float("nan"),
+                dof=float("nan"),
+                cold_intercept_um=cold_intercept,
+                cold_slope_um_per_m=cold_slope,
+                notes=notes,
+            )
+        )
+    return results
+
+
+def _cold_value(values: Floats, cold: np.ndarray) -> float:
+    good = cold & np.isfinite(values)
+    return float(values[good].mean()) if good.any() else float("nan")
+
+
+def _from_drift(campaign: Campaign, reference_s: float) -> list[ComponentSeparation]:
+    drift = campaign.drift
+    assert drift is not None
+    results = []
+    for index, direction in enumerate(CARTESIAN):
+        good = np.isfinite(drift.error_um[:, index])
+        if not good.any():
+            continue
+        t_s, error = drift.t_s[good], drift.error_um[good, index]
+        cold = t_s <= reference_s
+        if not cold.any():
+            cold[0] = True
+        # With a common datum the zero belongs to all campaigns together and must not be set anew.
+        zero = float(error[cold].mean()) if campaign.settings.datum == "campaign" else 0.0
+        nan, zeros = np.full(len(t_s), np.nan), np.zeros(len(t_s))
+        results.append(
+            ComponentSeparation(
+                campaign=campaign.name,
+                component=f"D{direction}",
+                direction=direction,
+                axis=None,
+                p0_mm=0.0,
+                p_min_mm=0.0,
+                p_max_mm=0.0,
+                reference_s=reference_s,
+                sweep=np.flatnonzero(good),
+                t_s=t_s,
+                cold=cold if campaign.settings.datum == "campaign" else np.zeros(len(t_s), dtype=bool),
+                intercept_um=error - zero,
+                intercept_se_um=nan,
+                slope_um_per_m=zeros,
+                slope_se_um_per_m=zeros,
+                rms_um=nan,
+                noise_sd_um=float("nan"),
+                dof=float("nan"),
+                cold_intercept_um=zero,
+            )
+        )
+    return results

@@ -1,0 +1,295 @@
+"""The states of one moving axis from all campaigns, side by side with their temperatures: what models are fitted on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from thetacomp.campaign import Campaign, Floats, Ints, MachineFolder
+from thetacomp.errors import AnalysisError
+from thetacomp.separation.reference import reference_temperatures_degC, reference_time_s
+from thetacomp.separation.result import Bools, ComponentSeparation
+
+DRIFT = ""
+LINE_POSITIONS = 31
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Thermal errors of one component that a model is judged by, n samples.
+
+    Measured points where sweeps exist, the separated line over the travel where only parameters do, the displacement
+    itself for drift. `state` is the row of AxisStates; `lever_m` the distance from P0; `noise_sd_um` the scatter of
+    the instrument.
+    """
+
+    state: Ints
+    lever_m: Floats
+    value_um: Floats
+    elapsed_h: Floats
+    rise_K: Floats
+    noise_sd_um: Floats
+
+
+@dataclass(frozen=True)
+class AxisStates:
+    """States of one moving axis (`DRIFT` for a fixed position), n rows, c components, p sensors.
+
+    `intercept_um` and `slope_um_per_m` are (n, c), referred to the cold state of their campaign; `cold_*` (n, c) is
+    what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing values are NaN. `exact_zero` says
+    that S = I = 0 holds exactly at the reference, as separated sweeps do; in separated parameters from elsewhere the
+    cold state is a measurement like any other, and with a common datum there is no zero of the campaign's own.
+    """
+
+    axis: str
+    components: tuple[str, ...]
+    sensors: tuple[str, ...]
+    campaigns: tuple[str, ...]
+    campaign: Ints
+    t_s: Floats
+    elapsed_h: Floats
+    cold: Bools
+    p0_mm: float
+    p_min_mm: float
+    p_max_mm: float
+    exact_zero: bool
+    rise_K: Floats
+    reference_degC: Floats
+    reference_s: Floats
+    intercept_um: Floats
+    slope_um_per_m: Floats
+    cold_intercept_um: Floats
+    cold_slope_um_per_m: Floats
+    samples: tuple[Samples, ...]
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @property
+    def is_drift(self) -> bool:
+        """True for drift at a fixed position: there is no slope."""
+        return self.axis == DRIFT
+
+    @property
+    def half_travel_m(self) -> float:
+        """Largest distance from P0 over the measured positions in metres."""
+        return max(self.p_max_mm - self.p0_mm, self.p0_mm - self.p_min_mm) / 1000.0
+
+    def take(self, rows: Ints) -> AxisStates:
+        """The same table with some of its rows; samples are not carried over, they belong to the whole table."""
+        chosen: dict[str, Any] = {name: getattr(self, name)[rows] for name in _BY_ROW}
+        return replace(self, samples=(), **chosen)
+
+    def parameters(self) -> tuple[tuple[str, ...], Floats, Floats]:
+        """Names, values (n, m) and µm weights (m,) of all parameters that can vote.
+
+        The weight turns one unit of the parameter into µm at the end of the travel: 1 for an intercept, half the
+        travel in metres for a slope.
+        """
+        names = [f"{component} intercept" for component in self.components]
+        values = [self.intercept_um]
+        weights = [1.0] * len(names)
+        if not self.is_drift:
+            names += [f"{component} slope" for component in self.components]
+            values.append(self.slope_um_per_m)
+            weights += [self.half_travel_m] * len(self.components)
+        return tuple(names), np.hstack(values), np.array(weights)
+
+
+def axis_states(
+    folder: MachineFolder, separations: Sequence[ComponentSeparation], campaigns: Sequence[str]
+) -> tuple[AxisStates, ...]:
+    """Collect the states of every moving axis over the named campaigns, drift last.
+
+    A component counts where every campaign that measured its axis has it. Raises AnalysisError where no component is
+    left.
+    """
+    chosen = [s for s in separations if s.campaign in set(campaigns)]
+    axes = [axis.name for axis in folder.machine.axes]
+    groups = [(name, [s for s in chosen if s.axis == name]) for name in axes]
+    groups.append((DRIFT, [s for s in chosen if s.axis is None]))
+    return tuple(_collect(folder, axis, members, campaigns) for axis, members in groups if members)
+
+
+def _collect(
+    folder: MachineFolder, axis: str, members: Sequence[ComponentSeparation], campaigns: Sequence[str]
+) -> AxisStates:
+    names = tuple(name for name in campaigns if any(s.campaign == name for s in members))
+    components = tuple(
+        component
+        for component in dict.fromkeys(s.component for s in members)
+        if all(any(s.campaign == name and s.component == component for s in members) for name in names)
+    )
+    if not components:
+        raise AnalysisError(
+            f"axis {axis}: no error component was measured in all of its campaigns ({', '.join(names)})."
+            " Fix: choose the campaigns with --train and --test."
+        )
+    p0_mm = next(s.p0_mm for s in members if s.component == components[0])
+    zero = _common_reference_degC(folder, axis, names)
+    parts = [
+        _campaign_states(folder, name, index, axis, components, members, p0_mm, zero)
+        for index, name in enumerate(names)
+    ]
+    return _stack(parts, names)
+
+
+def _common_reference_degC(folder: MachineFolder, axis: str, names: Sequence[str]) -> Floats | None:
+    """With a common datum all campaigns count from one temperature: that of the first. Else None: each has its own."""
+    settings = {name: folder.campaign(name).settings.datum for name in names}
+    if len(set(settings.values())) > 1:
+        listed = ", ".join(f"{name}: {datum}" for name, datum in settings.items())
+        raise AnalysisError(
+            f"axis {axis or 'drift'}: campaigns with different datum cannot be used together ({listed})."
+            " Fix: state the same datum in their campaign.toml, or choose campaigns with --train and --test."
+        )
+    if settings[names[0]] == "campaign":
+        return None
+    return _reference_degC(folder.campaign(names[0]), folder.machine.sensor_ids)
+
+
+def _reference_degC(campaign: Campaign, sensors: tuple[str, ...]) -> Floats:
+    values = reference_temperatures_degC(campaign, reference_time_s(campaign))
+    return np.asarray(_by_sensor(campaign, sensors, values[None, :])[0])
+
+
+def _campaign_states(
+    folder: MachineFolder,
+    name: str,
+    index: int,
+    axis: str,
+    components: tuple[str, ...],
+    members: Sequence[ComponentSeparation],
+    p0_mm: float,
+    zero_degC: Floats | None,
+) -> AxisStates:
+    campaign, sensors = folder.campaign(name), folder.machine.sensor_ids
+    own = [next(s for s in members if s.campaign == name and s.component == c) for c in components]
+    states = np.unique(np.concatenate([s.sweep for s in own]))
+    n, c = len(states), len(components)
+    intercept, slope, cold_intercept, cold_slope = (np.full((n, c), np.nan) for _ in range(4))
+    t_s = np.full(n, np.nan)
+    cold = np.zeros(n, dtype=bool)
+    for k, s in enumerate(own):
+        rows = np.searchsorted(states, s.sweep)
+        shift_m = (p0_mm - s.p0_mm) / 1000.0
+        intercept[rows, k] = s.intercept_um + s.slope_um_per_m * shift_m
+        slope[rows, k] = s.slope_um_per_m
+        cold_intercept[rows, k] = s.cold_intercept_um + s.cold_slope_um_per_m * shift_m
+        cold_slope[rows, k] = s.cold_slope_um_per_m
+        t_s[rows] = s.t_s
+        cold[rows] |= s.cold
+    reference_s = own[0].reference_s
+    reference = _reference_degC(campaign, sensors) if zero_degC is None else zero_degC
+    return AxisStates(
+        axis=axis,
+        components=components,
+        sensors=sensors,
+        campaigns=(name,),
+        campaign=np.full(n, index),
+        t_s=t_s,
+        elapsed_h=(t_s - reference_s) / 3600.0,
+        cold=cold,
+        p0_mm=p0_mm,
+        p_min_mm=min(s.p_min_mm for s in own),
+        p_max_mm=max(s.p_max_mm for s in own),
+        exact_zero=zero_degC is None and campaign.parameters is None,
+        rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
+        reference_degC=np.tile(reference, (n, 1)),
+        reference_s=np.full(n, reference_s),
+        intercept_um=intercept,
+        slope_um_per_m=slope,
+        cold_intercept_um=cold_intercept,
+        cold_slope_um_per_m=cold_slope,
+        samples=tuple(_samples(campaign, sensors, s, states, reference, p0_mm) for s in own),
+    )
+
+
+def _stack(parts: Sequence[AxisStates], names: tuple[str, ...]) -> AxisStates:
+    """One table from the tables of single campaigns."""
+    starts = np.cumsum([0, *(len(part) for part in parts)])
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_ROW}
+    return replace(
+        parts[0],
+        campaigns=names,
+        p_min_mm=min(part.p_min_mm for part in parts),
+        p_max_mm=max(part.p_max_mm for part in parts),
+        exact_zero=all(part.exact_zero for part in parts),
+        samples=tuple(
+            _stack_samples([part.samples[c] for part in parts], starts) for c in range(len(parts[0].components))
+        ),
+        **columns,
+    )
+
+
+_BY_ROW = (
+    "campaign",
+    "t_s",
+    "elapsed_h",
+    "cold",
+    "rise_K",
+    "reference_degC",
+    "reference_s",
+    "intercept_um",
+    "slope_um_per_m",
+    "cold_intercept_um",
+    "cold_slope_um_per_m",
+)
+
+
+def _by_sensor(campaign: Campaign, sensors: tuple[str, ...], value_degC: Floats) -> Floats:
+    """Columns in the order of the machine's sensors; a sensor that the campaign does not have is NaN."""
+    column = {name: j for j, name in enumerate(campaign.temperatures.sensor_ids)}
+    out = np.full((len(value_degC), len(sensors)), np.nan)
+    for j, name in enumerate(sensors):
+        if name in column:
+            out[:, j] = value_degC[:, column[name]]
+    return out
+
+
+def _samples(
+    campaign: Campaign,
+    sensors: tuple[str, ...],
+    s: ComponentSeparation,
+    states: Ints,
+    reference: Floats,
+    p0_mm: float,
+) -> Samples:
+    if s.points is not None:
+        good = ~s.points.outlier
+        state, t_s = np.searchsorted(states, s.points.sweep[good]), s.points.t_s[good]
+        position, value = s.points.position_mm[good], s.points.thermal_um[good]
+    elif s.axis is not None:
+        grid = np.linspace(s.p_min_mm, s.p_max_mm, LINE_POSITIONS)
+        state = np.repeat(np.searchsorted(states, s.sweep), len(grid))
+        t_s = np.repeat(s.t_s, len(grid))
+        position = np.tile(grid, len(s.t_s))
+        value = np.concatenate([s.line_um(k, grid) for k in range(len(s.t_s))])
+    else:
+        state, t_s, value = np.searchsorted(states, s.sweep), s.t_s, s.intercept_um
+        position = np.full(len(t_s), p0_mm)
+    known = np.isfinite(value)
+    state, t_s, position, value = state[known], t_s[known], position[known], value[known]
+    noise = s.noise_sd_um if s.points is not None else 0.0
+    return Samples(
+        state=state,
+        lever_m=(position - p0_mm) / 1000.0,
+        value_um=value,
+        elapsed_h=(t_s - s.reference_s) / 3600.0,
+        rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
+        noise_sd_um=np.full(len(t_s), noise),
+    )
+
+
+def _stack_samples(parts: Sequence[Samples], starts: Ints) -> Samples:
+    return Samples(
+        state=np.concatenate([part.state + start for part, start in zip(parts, starts, strict=False)]),
+        lever_m=np.concatenate([part.lever_m for part in parts]),
+        value_um=np.concatenate([part.value_um for part in parts]),
+        elapsed_h=np.concatenate([part.elapsed_h for part in parts]),
+        rise_K=np.concatenate([part.rise_K for part in parts]),
+        noise_sd_um=np.concatenate([part.noise_sd_um for part in parts]),
+    )

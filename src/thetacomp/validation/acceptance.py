@@ -1,0 +1,142 @@
+"""Acceptance: a table of named checks that a model must pass before it may go to a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from thetacomp.models.document import ModelDocument
+from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
+from thetacomp.validation.validate import ALL_CAMPAIGNS, NOTHING, Residuals
+
+MAX_RESIDUAL_RATIO = 0.5
+MAX_CLOCK_RATIO = 1.0
+MAX_HARM_RATIO = 1.0
+MAX_CHANCE = 0.05
+MIN_STATES_PER_INPUT = 4.0
+MIN_COVERAGE_PERCENT = 85.0
+
+
+def acceptance_checks(
+    residuals: Sequence[Residuals],
+    rows: Sequence[ValidationRow],
+    permutations: Sequence[PermutationTest],
+    model: ModelDocument,
+) -> tuple[AcceptanceCheck, ...]:
+    """All checks, axis by axis where they belong to an axis. A model is fit for use where every one is passed."""
+    axes = dict.fromkeys(_axis(r.component) for r in residuals)
+    checks: list[AcceptanceCheck] = []
+    for axis in axes:
+        own = [r for r in residuals if _axis(r.component) == axis]
+        label = f"axis {axis}" if axis else "drift"
+        before, after, clock = (_rms(own, name) for name in (NOTHING, "default", "clock"))
+        checks.append(
+            _at_most(
+                f"{label}: residual RMS / uncompensated RMS, held out",
+                after / before if before > 0 else float("nan"),
+                MAX_RESIDUAL_RATIO,
+                "the model takes away at least half of the error on data it has not seen",
+            )
+        )
+        checks.append(
+            _at_most(
+                f"{label}: residual RMS / residual RMS of the clock, held out",
+                after / clock if clock > 0 else float("nan"),
+                MAX_CLOCK_RATIO,
+                "the temperatures know more than a clock; otherwise the model has learnt the warm-up curve",
+            )
+        )
+    checks += _no_harm(rows)
+    for test in permutations:
+        label = f"axis {test.axis}" if test.axis else "drift"
+        checks.append(
+            _at_most(
+                f"{label}: chance of this R² on shuffled states",
+                test.p_value,
+                MAX_CHANCE,
+                f"R² {test.r2:.3f}; shuffled states reach {test.r2_shuffled_median:.3f} (median)",
+            )
+        )
+    checks += _from_model(model)
+    checks += _coverage(rows)
+    return tuple(checks)
+
+
+def _axis(component: str) -> str:
+    return "" if component.startswith("D") else component[2:]
+
+
+def _rms(residuals: Sequence[Residuals], model: str) -> float:
+    """Residual RMS over the components of one axis; NaN where the model could not be fitted in the folds."""
+    values = [r.after_um for r in residuals if r.model == model]
+    return float(np.sqrt(np.mean(np.concatenate(values) ** 2))) if values else float("nan")
+
+
+def _no_harm(rows: Sequence[ValidationRow]) -> list[AcceptanceCheck]:
+    """The component and campaign that fares worst: compensation must not make any of them worse."""
+    ratios = [
+        (row.rms_after_um / row.rms_before_um, row)
+        for row in rows
+        if row.model == "default" and row.campaign != ALL_CAMPAIGNS and row.rms_before_um > 0
+    ]
+    if not ratios:
+        return []
+    ratio, worst = max(ratios, key=lambda pair: pair[0])
+    return [
+        _at_most(
+            "worst component and campaign: residual RMS / uncompensated RMS",
+            ratio,
+            MAX_HARM_RATIO,
+            f"no component is made worse; the worst is {worst.component} in campaign {worst.campaign}"
+            f" ({worst.rms_before_um:.1f} to {worst.rms_after_um:.1f} µm)",
+        )
+    ]
+
+
+def _from_model(model: ModelDocument) -> list[AcceptanceCheck]:
+    with_inputs = [c for c in model.components.values() if c.inputs]
+    checks = []
+    if with_inputs:
+        checks.append(
+            _at_least(
+                "states per input, smallest over the components",
+                min(c.states / len(c.inputs) for c in with_inputs),
+                MIN_STATES_PER_INPUT,
+                "enough states for the number of temperatures in the equations",
+            )
+        )
+    checks.append(
+        _at_least(
+            "sign convention of the data stated (1) or unproven (0)",
+            1.0 if model.sign == "stated" else 0.0,
+            1.0,
+            "a wrong sign doubles the error; measure a known displacement first",
+        )
+    )
+    return checks
+
+
+def _coverage(rows: Sequence[ValidationRow]) -> list[AcceptanceCheck]:
+    stated = [row for row in rows if row.model == "default" and np.isfinite(row.coverage_percent)]
+    total = sum(row.n for row in stated if row.campaign != ALL_CAMPAIGNS)
+    if not total:
+        return []
+    inside = sum(row.n * row.coverage_percent for row in stated if row.campaign != ALL_CAMPAIGNS) / total
+    return [
+        _at_least(
+            "held-out points inside the 95 % interval, percent",
+            inside,
+            MIN_COVERAGE_PERCENT,
+            "the stated uncertainty is honest",
+        )
+    ]
+
+
+def _at_most(name: str, statistic: float, threshold: float, meaning: str) -> AcceptanceCheck:
+    # A statistic that cannot be computed is not a pass.
+    return AcceptanceCheck(name, statistic, "<=", threshold, bool(statistic <= threshold), meaning)
+
+
+def _at_least(name: str, statistic: float, threshold: float, meaning: str) -> AcceptanceCheck:
+    return AcceptanceCheck(name, statistic, ">=", threshold, bool(statistic >= threshold), meaning)

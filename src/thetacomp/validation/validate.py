@@ -1,0 +1,185 @@
+"""Hold-out validation of the model and its baselines: everything is chosen again inside every fold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thetacomp.campaign import Floats, Ints
+from thetacomp.errors import AnalysisError
+from thetacomp.models.axis_model import AxisModel, Procedure
+from thetacomp.states import AxisStates, Samples
+from thetacomp.validation.folds import Fold
+from thetacomp.validation.result import ValidationRow
+
+NOTHING = "nothing"
+ALL_CAMPAIGNS = "all"
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Held-out samples of one component and model: error before and after in µm, (n,), with state and campaign.
+
+    `half_width_um` is the model's 95 % interval, NaN where the model states none.
+    """
+
+    component: str
+    model: str
+    split: str
+    state: Ints
+    campaign: Ints
+    before_um: Floats
+    after_um: Floats
+    half_width_um: Floats
+    in_sample_um: Floats
+
+
+def held_out_residuals(
+    states: AxisStates, split: str, folds: Sequence[Fold], procedures: Mapping[str, Procedure]
+) -> tuple[Residuals, ...]:
+    """Residuals of every component and procedure over all folds; `nothing` comes first.
+
+    A procedure that a fold cannot support (too few states) is left out as a whole.
+    """
+    tested = np.unique(np.concatenate([fold.test for fold in folds]))
+    out = [_nothing(states, split, c, tested) for c in range(len(states.components))]
+    for name, procedure in procedures.items():
+        try:
+            fitted = [(fold, procedure(states.take(fold.train))) for fold in folds]
+            whole = procedure(states)
+        except AnalysisError:
+            continue
+        out += [_residuals(states, split, c, name, fitted, whole) for c in range(len(states.components))]
+    return tuple(out)
+
+
+def _nothing(states: AxisStates, split: str, component: int, tested: Ints) -> Residuals:
+    samples = states.samples[component]
+    chosen = np.isin(samples.state, tested)
+    value = samples.value_um[chosen]
+    nan = np.full(len(value), np.nan)
+    state = samples.state[chosen]
+    return Residuals(
+        states.components[component], NOTHING, split, state, states.campaign[state], value, value, nan, value
+    )
+
+
+def _residuals(
+    states: AxisStates,
+    split: str,
+    component: int,
+    name: str,
+    fitted: Sequence[tuple[Fold, AxisModel]],
+    whole: AxisModel,
+) -> Residuals:
+    samples, label = states.samples[component], states.components[component]
+    parts = []
+    for fold, model in fitted:
+        chosen = np.isin(samples.state, fold.test)
+        value, half_width = model.predict(label, states, _some(samples, chosen))
+        parts.append((np.flatnonzero(chosen), value, half_width))
+    rows = np.concatenate([part[0] for part in parts])
+    order = np.argsort(rows, kind="stable")
+    rows = rows[order]
+    predicted = np.concatenate([part[1] for part in parts])[order]
+    half_width = np.concatenate([part[2] for part in parts])[order]
+    value = samples.value_um[rows]
+    flattering, _ = whole.predict(label, states, _some(samples, rows))
+    known = np.isfinite(predicted)
+    state = samples.state[rows][known]
+    return Residuals(
+        component=label,
+        model=name,
+        split=split,
+        state=state,
+        campaign=states.campaign[state],
+        before_um=value[known],
+        after_um=(value - predicted)[known],
+        half_width_um=half_width[known],
+        in_sample_um=(value - flattering)[known],
+    )
+
+
+def _some(samples: Samples, chosen: Ints | np.ndarray) -> Samples:
+    return Samples(
+        state=samples.state[chosen],
+        lever_m=samples.lever_m[chosen],
+        value_um=samples.value_um[chosen],
+        elapsed_h=samples.elapsed_h[chosen],
+        rise_K=samples.rise_K[chosen],
+        noise_sd_um=samples.noise_sd_um[chosen],
+    )
+
+
+def rows_of(residuals: Residuals, campaigns: Sequence[str]) -> tuple[ValidationRow, ...]:
+    """One row a campaign and, where there are several, one over `all`."""
+    present = np.unique(residuals.campaign)
+    groups = [(campaigns[index], residuals.campaign == index) for index in present]
+    if len(present) > 1:
+        groups.append((ALL_CAMPAIGNS, np.ones(len(residuals.campaign), dtype=bool)))
+    return tuple(_row(residuals, residuals.component, name, chosen) for name, chosen in groups if chosen.any())
+
+
+def _row(residuals: Residuals, component: str, campaign: str, chosen: np.ndarray) -> ValidationRow:
+    inside = np.abs(residuals.after_um[chosen]) <= residuals.half_width_um[chosen]
+    stated = np.isfinite(residuals.half_width_um[chosen])
+    coverage = 100.0 * float(inside[stated].mean()) if stated.any() else float("nan")
+    return _figures(
+        component,
+        campaign,
+        residuals,
+        np.abs(residuals.before_um[chosen]),
+        np.abs(residuals.after_um[chosen]),
+        np.abs(residuals.in_sample_um[chosen]),
+        coverage,
+    )
+
+
+def _figures(
+    component: str, campaign: str, origin: Residuals, before: Floats, after: Floats, in_sample: Floats, coverage: float
+) -> ValidationRow:
+    max_before, max_after = float(before.max()), float(after.max())
+    return ValidationRow(
+        component=component,
+        campaign=campaign,
+        model=origin.model,
+        split=origin.split,
+        n=len(before),
+        max_before_um=max_before,
+        max_after_um=max_after,
+        p95_before_um=float(np.quantile(before, 0.95)),
+        p95_after_um=float(np.quantile(after, 0.95)),
+        rms_before_um=float(np.sqrt(np.mean(before**2))),
+        rms_after_um=float(np.sqrt(np.mean(after**2))),
+        reduction_percent=100.0 * (1.0 - max_after / max_before) if max_before > 0 else float("nan"),
+        coverage_percent=coverage,
+        rms_in_sample_um=float(np.sqrt(np.mean(in_sample**2))),
+    )
+
+
+def column_rows(states: AxisStates, residuals: Sequence[Residuals], cartesian: str) -> tuple[ValidationRow, ...]:
+    """Column deviation: for every state the largest deviation of the tool over the column's travel.
+
+    Applies to the axis that moves along Y; `column_X` comes from its error in X, `column_Z` from that in Z. The
+    figures are the maximum, p95 and RMS over the states.
+    """
+    if cartesian != "Y":
+        return ()
+    rows: list[ValidationRow] = []
+    for item in residuals:
+        direction = item.component[1]
+        if direction not in ("X", "Z"):
+            continue
+        present = np.unique(item.state)
+        kinds = (item.before_um, item.after_um, item.in_sample_um)
+        worst = np.array([[np.abs(values[item.state == state]).max() for values in kinds] for state in present])
+        campaign = states.campaign[present]
+        groups = [(states.campaigns[index], campaign == index) for index in np.unique(campaign)]
+        if len(groups) > 1:
+            groups.append((ALL_CAMPAIGNS, np.ones(len(campaign), dtype=bool)))
+        for name, chosen in groups:
+            before, after, in_sample = worst[chosen].T
+            rows.append(_figures(f"column_{direction}", name, item, before, after, in_sample, float("nan")))
+    return tuple(rows)
