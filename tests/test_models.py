@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
-from tests.small_models import component, document, term
 
+from small_models import component, document, term
 from thetacomp.errors import ModelFileError
 from thetacomp.models.document import load_model
 from thetacomp.models.linear import ThermalRegression

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from tests.known_machine import MACHINE, TRAVEL_MM, measured_campaign
 
+from known_machine import MACHINE, TRAVEL_MM, measured_campaign
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, Parameters, SweepPoints, Temperatures
 from thetacomp.errors import AnalysisError
 from thetacomp.separation import separate_campaign

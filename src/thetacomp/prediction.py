@@ -148,12 +148,12 @@ def _check_axes(model: ModelDocument, positions: PositionTable, wanted: dict[str
             asked = f"axis {name!r}" if name else "drift at a fixed position (axis empty)"
             drift = "drift too (axis empty)" if any(not c.axis for c in model.components.values()) else "no drift"
             raise AnalysisError(
-                f"positions, row {i + 1}: the model has no component for {asked}."
+                f"positions, data row {i + 1}: the model has no component for {asked}."
                 f" It knows the axes {', '.join(known) or 'none'}, and {drift}. Fix: name one of these."
             )
         if name and not np.isfinite(positions.position_mm[i]):
             raise AnalysisError(
-                f"positions, row {i + 1}: axis {name} without a position_mm. Fix: fill in the position."
+                f"positions, data row {i + 1}: axis {name} without a position_mm. Fix: fill in the position."
             )
 
 
@@ -174,8 +174,8 @@ def _check_times(temperatures: Temperatures, positions: PositionTable) -> None:
     early = np.flatnonzero(positions.t_s < first_s)
     if len(early):
         raise AnalysisError(
-            f"positions, row {early[0] + 1}: t_s = {_plain(positions.t_s[early[0]])} lies before the first temperature"
-            f" sample at t_s = {_plain(first_s)} ({len(early)} such rows)."
+            f"positions, data row {early[0] + 1}: t_s = {_plain(positions.t_s[early[0]])} lies before the first"
+            f" temperature sample at t_s = {_plain(first_s)} ({len(early)} such rows)."
             " Fix: bring both tables to the same clock, or start the temperatures earlier."
         )
     if len(positions.t_s) and (positions.t_s > last_s + _interval_s(temperatures)).all():

@@ -94,6 +94,7 @@ def _component(states: AxisStates, model: AxisModel, k: int) -> Component:
             "intercept": _term(regression, 0, len(model.inputs)),
             "slope": None if drift else _term(regression, 1, len(model.inputs)),
             "residual_correlation": correlation,
+            "through_zero": states.exact_zero,
             "dof": int(regression.dof_),
             "states": int(regression.states_),
             "residual_um": (float(np.sqrt(np.mean(residual**2))), float(np.abs(residual).max())),

@@ -42,6 +42,8 @@ class Component(Strict):
     `intercept` is in µm, `slope` in µm/m; `slope`, `axis` and the positions are absent for drift at a fixed position.
     `residual_correlation` is that between the residuals of intercept and slope; `residual_um` holds the RMS and the
     maximum of what remains over the travel on the training states. Both terms share `inputs` and `dof`.
+    `through_zero` says that the fit was forced through zero at the reference, where the error is zero by definition;
+    the constants are then exactly zero.
     """
 
     direction: Literal["X", "Y", "Z"]
@@ -54,6 +56,7 @@ class Component(Strict):
     intercept: LinearTerm
     slope: LinearTerm | None
     residual_correlation: float
+    through_zero: bool = False
     dof: int
     states: int
     residual_um: tuple[float, float]

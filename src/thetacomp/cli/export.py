@@ -1,0 +1,49 @@
+"""`thetacomp export`: controller files from a stored model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thetacomp.cli.common import BAD_USAGE, DONE, NOT_FIT, JsonOption, Outcome, run
+
+
+def export(
+    model: Annotated[Path, typer.Argument(help="The model.json that `thetacomp analyze` wrote.")],
+    target: Annotated[str, typer.Option(help="The control: sinumerik.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files; it is made if needed.")],
+    settings: Annotated[Path | None, typer.Option(help="export.toml: axis names, signs and limits.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write the files that bring a model to a control, with a commissioning sheet."""
+    run(lambda: _export(model, target, out, settings), as_json)
+
+
+def _export(model_path: Path, target: str, out: Path, settings: Path | None) -> Outcome:
+    from thetacomp.controllers.targets import TARGETS
+    from thetacomp.models.document import load_model
+
+    if target not in TARGETS:
+        text = f"error: this version writes {', '.join(TARGETS)}, not '{target}'. Fix: --target {next(iter(TARGETS))}."
+        return Outcome(text, {"error": text, "targets": list(TARGETS)}, BAD_USAGE)
+    model = load_model(model_path)
+    files = TARGETS[target](model, settings)
+    out.mkdir(parents=True, exist_ok=True)
+    for file in files:
+        # Newlines as they are: the same files come out on every system.
+        (out / file.name).write_text(file.text, encoding="utf-8", newline="\n")
+    unproven = model.sign == "unproven"
+    lines = [f"{target} files for {model.machine} in {out}:", *(f"  {file.name}" for file in files)]
+    if unproven:
+        reason = (
+            "The sign of this model is unproven: its source does not state the sign convention or the axis directions."
+            " The files are for preparation and sign tests, not for compensation."
+        )
+        lines.append(f"NOT FIT FOR USE: {reason}")
+    else:
+        reason = ""
+        lines.append("Next: follow commissioning_sheet.html; nothing is compensated before its sign test has passed.")
+    data = {"out": str(out), "files": [file.name for file in files], "sign": model.sign, "reason": reason}
+    return Outcome("\n".join(lines), data, NOT_FIT if unproven else DONE)

@@ -1,0 +1,341 @@
+"""SINUMERIK 840D sl / ONE: which register carries which part of the thermal error, with sign and unit.
+
+Temperature compensation of an axis is `ΔK = K0(T) + tanβ(T) (P - P0)`; sag compensation (CEC) adds to an output axis
+the table of a base axis times a weight that takes effect at once (SINUMERIK Extended Functions, K3 Compensations,
+03/2013). Here the slope of an axis' own error goes to its tanβ, the slope of a cross error to the weight of a straight
+table, and the drift of one direction to one single K0: every intercept holds it, so it must not be added twice.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from thetacomp.campaign import CARTESIAN, Floats
+from thetacomp.compensation.domain import Box, largest, training_box_degC
+from thetacomp.compensation.law import Law, inputs_of, laws
+from thetacomp.controllers.base import RegisterLaw, register_law
+from thetacomp.errors import InputError, Problem
+from thetacomp.machine import Axis, Strict
+from thetacomp.models.document import Component, ModelDocument
+
+TABLE_POINTS = 11  # ten steps: the step stays an exact decimal number, so MAX - MIN is a whole number of steps
+GRID_STATES = 10
+Sign = Literal[1, -1]
+Cartesian = Literal["X", "Y", "Z"]
+AxisName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+
+
+class SinumerikSettings(Strict):
+    """`export.toml` for SINUMERIK. Every default that stands for an open question is said in the sheet.
+
+    `sign_temperature`, `sign_cec`: +1 writes the error with its own sign; the sign test decides.
+    `axis_name`: axis of the model -> channel axis of the control (default `X` -> `X1`); `axis_number`: its number n
+    in `AXn` (default: place in the model). `output_axis`: direction -> axis that corrects all errors of that
+    direction (default: the axis that moved, else the first axis along the direction). `drift_source`: direction ->
+    the one component whose intercept becomes K0. `reference_degC`: temperatures at the moment of zero; the constant
+    of the fit is then dropped (default: the reference stored in the model, constant kept). `reserve`: factor on
+    the largest values of the training range, for table slopes and clamps. `rate_limit_um_per_s`: how fast the writer
+    may move an axis. `md32720_cec_max_sum_mm`: default sized from the tables.
+    """
+
+    sign_temperature: Sign = 1
+    sign_cec: Sign = 1
+    axis_name: dict[str, AxisName] = Field(default_factory=dict)
+    axis_number: dict[str, Annotated[int, Field(ge=1, le=31)]] = Field(default_factory=dict)
+    output_axis: dict[Cartesian, str] = Field(default_factory=dict)
+    drift_source: dict[Cartesian, str] = Field(default_factory=dict)
+    reference_degC: dict[str, float] | None = None
+    reserve: Annotated[float, Field(ge=1.0, le=10.0)] = 1.25
+    first_cec_table: Annotated[int, Field(ge=0)] = 0
+    rate_limit_um_per_s: Annotated[float, Field(gt=0.0)] = 1.0
+    md32760_comp_add_velo_factor: Annotated[float, Field(gt=0.0, le=0.1)] = 0.01
+    md32720_cec_max_sum_mm: Annotated[float, Field(gt=0.0)] | None = None
+    md32730_cec_max_velo_factor: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
+
+
+@dataclass(frozen=True)
+class AxisRegisters:
+    """Temperature compensation of one axis. K0 in mm, tanβ in mm/mm, P0 in mm; None where nothing is written.
+
+    The clamps are the largest values inside the training range, with the 95 % bound and the reserve.
+    """
+
+    axis: Axis
+    channel_axis: str
+    drift_source: str | None
+    slope_source: str | None
+    register_k0_mm: RegisterLaw
+    register_tan_beta: RegisterLaw
+    register_p0_mm: float
+    clamp_k0_mm: float
+    clamp_tan_beta: float
+    p_min_mm: float
+    p_max_mm: float
+
+    @property
+    def compensation_type(self) -> int:
+        """MD32750: bit 0 position-independent, bit 1 position-dependent."""
+        return (1 if self.drift_source else 0) + (2 if self.slope_source else 0)
+
+
+@dataclass(frozen=True)
+class SagTable:
+    """One straight CEC table: `register_mm` at `TABLE_POINTS` positions of the base axis, times `weight` (-1 to 1)."""
+
+    index: int
+    source: str
+    base: AxisRegisters
+    output: AxisRegisters
+    base_number: int
+    output_number: int
+    p0_mm: float
+    p_min_mm: float
+    p_max_mm: float
+    slope_ref_um_per_m: float
+    register_mm: tuple[float, ...]
+    weight: RegisterLaw
+
+    @property
+    def step_mm(self) -> float:
+        """Distance of two points of the table."""
+        return round((self.p_max_mm - self.p_min_mm) / (TABLE_POINTS - 1), 4)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An intercept that is not exported because the drift of its direction comes from `counted`.
+
+    Both values are those of the warmest state of the grid: their difference is what the choice costs or saves.
+    """
+
+    component: str
+    counted: str
+    intercept_um: float
+    counted_um: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that is written: registers, tables, and the grid of states (`grid_degC`: sensor -> (n,))."""
+
+    model: ModelDocument
+    settings: SinumerikSettings
+    axes: tuple[AxisRegisters, ...]
+    tables: tuple[SagTable, ...]
+    left_out: tuple[LeftOut, ...]
+    not_exported: tuple[str, ...]
+    max_sum_mm: dict[str, float]
+    grid_degC: dict[str, Floats]
+
+    @property
+    def sign_unproven(self) -> bool:
+        """True where the model's own sign convention is not stated by its source."""
+        return self.model.sign == "unproven"
+
+
+def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: str = "export.toml") -> Plan:
+    """Decide which register carries what. Raises InputError where the settings do not fit the model."""
+    _check_settings(model, settings, settings_file)
+    bound = laws(model, settings.reference_degC)
+    box = training_box_degC(bound.values(), model.training)
+    grid = {sensor: np.linspace(*box[sensor], GRID_STATES) for sensor in inputs_of(bound)}
+    outputs = {d: _output_axis(model, settings, d) for d in CARTESIAN}
+    sources = {d: _drift_source(model, settings, d, outputs[d]) for d in CARTESIAN if outputs[d]}
+
+    axes = tuple(_axis_registers(axis, model, settings, bound, box, outputs, sources) for axis in model.axes)
+    by_name = {registers.axis.name: registers for registers in axes}
+    tables: list[SagTable] = []
+    for name, law in bound.items():
+        output = outputs[law.component.direction]
+        if law.component.axis and output and not _is_own(law.component, model, settings):
+            index = settings.first_cec_table + len(tables)
+            pair = (by_name[law.component.axis], by_name[output])
+            tables.append(_sag_table(index, name, law, model, settings, pair, box))
+    needed = {t.output.axis.name: 0.0 for t in tables}
+    for table in tables:
+        needed[table.output.axis.name] += max(abs(value) for value in table.register_mm)
+    sums = {name: math.ceil(110 * value) / 100 for name, value in needed.items()}
+    _check_sum(settings, sums, settings_file)
+    counted = {d: bound[source] for d, source in sources.items() if source}
+    pairs = [(law, counted[d]) for law in bound.values() if (d := law.component.direction) in counted]
+    left_out = [_left_out(law, other, grid) for law, other in pairs if law is not other]
+    orphans = [name for name, law in bound.items() if not outputs[law.component.direction]]
+    return Plan(
+        model=model,
+        settings=settings,
+        axes=tuple(registers for registers in axes if registers.compensation_type),
+        tables=tuple(tables),
+        left_out=tuple(left_out),
+        not_exported=tuple(orphans),
+        max_sum_mm={name: settings.md32720_cec_max_sum_mm or value for name, value in sums.items()},
+        grid_degC=grid,
+    )
+
+
+def _output_axis(model: ModelDocument, settings: SinumerikSettings, direction: str) -> str | None:
+    """The axis that corrects a direction: as set, else the first one with an error of its own, else the first one."""
+    if direction in settings.output_axis:
+        return settings.output_axis[direction]
+    along = [axis.name for axis in model.axes if axis.cartesian == direction]
+    measured = [name for name in along if f"E{direction}{name}" in model.components]
+    return next(iter(measured + along), None)
+
+
+def _drift_source(model: ModelDocument, settings: SinumerikSettings, direction: str, output: str | None) -> str | None:
+    """The one component whose intercept becomes K0: as set, else an axis along the direction, Y sweep, any other."""
+    if direction in settings.drift_source:
+        return settings.drift_source[direction]
+    candidates = [name for name, component in model.components.items() if component.direction == direction]
+    along = [axis.name for axis in model.axes if axis.cartesian == direction]
+    column = [axis.name for axis in model.axes if axis.cartesian == "Y"]
+    order = [f"E{direction}{name}" for name in (output, *along, *column)]
+    return next((name for name in (*order, *candidates) if name in candidates), None)
+
+
+def _is_own(component: Component, model: ModelDocument, settings: SinumerikSettings) -> bool:
+    """True where the moving axis itself corrects this error, through its tanβ."""
+    moving = next((axis for axis in model.axes if axis.name == component.axis), None)
+    if moving is None or moving.cartesian != component.direction:
+        return False
+    return settings.output_axis.get(component.direction, moving.name) == moving.name
+
+
+def _axis_registers(
+    axis: Axis,
+    model: ModelDocument,
+    settings: SinumerikSettings,
+    bound: dict[str, Law],
+    box: Box,
+    outputs: dict[str, str | None],
+    sources: dict[str, str | None],
+) -> AxisRegisters:
+    # The model's error runs along the Cartesian direction, the register along the axis: its sign comes in here.
+    sign = settings.sign_temperature * axis.sign
+    drift = sources.get(axis.cartesian) if outputs[axis.cartesian] == axis.name else None
+    own = [n for n, law in bound.items() if law.component.axis == axis.name and _is_own(law.component, model, settings)]
+    slope = next(iter(own), None)
+    k0, tan_beta = RegisterLaw(0.0), RegisterLaw(0.0)
+    clamp_k0_mm = clamp_tan_beta = p0_mm = 0.0
+    if drift:
+        k0 = register_law(bound[drift], bound[drift].component.intercept, sign * 1e-3)
+        clamp_k0_mm = settings.reserve * 1e-3 * largest(bound[drift], bound[drift].component.intercept, box)
+    if slope:
+        tan_beta = register_law(bound[slope], bound[slope].slope, sign * 1e-6)
+        clamp_tan_beta = settings.reserve * 1e-6 * largest(bound[slope], bound[slope].slope, box)
+        p0_mm = bound[slope].travel_mm[0]
+    moving = [law.component for law in bound.values() if law.component.axis == axis.name]
+    return AxisRegisters(
+        axis=axis,
+        channel_axis=settings.axis_name.get(axis.name, f"{axis.name}1"),
+        drift_source=drift,
+        slope_source=slope,
+        register_k0_mm=k0,
+        register_tan_beta=tan_beta,
+        register_p0_mm=p0_mm,
+        clamp_k0_mm=clamp_k0_mm,
+        clamp_tan_beta=clamp_tan_beta,
+        p_min_mm=min((c.p_min_mm for c in moving if c.p_min_mm is not None), default=axis.travel_mm[0]),
+        p_max_mm=max((c.p_max_mm for c in moving if c.p_max_mm is not None), default=axis.travel_mm[1]),
+    )
+
+
+def _sag_table(
+    index: int,
+    name: str,
+    law: Law,
+    model: ModelDocument,
+    settings: SinumerikSettings,
+    pair: tuple[AxisRegisters, AxisRegisters],
+    box: Box,
+) -> SagTable:
+    (base, output), (p0_mm, *ends_mm) = pair, law.travel_mm
+    # Whole µm/m, so that the number in the table is the number on the sheet.
+    reference = float(max(1, math.ceil(settings.reserve * largest(law, law.slope, box))))
+    p_min_mm, p_max_mm = (round(end, 3) for end in ends_mm)
+    step_mm = round((p_max_mm - p_min_mm) / (TABLE_POINTS - 1), 4)
+    position_mm = p_min_mm + step_mm * np.arange(TABLE_POINTS)
+    register_mm = settings.sign_cec * output.axis.sign * reference * 1e-6 * (position_mm - p0_mm)
+    numbers = {axis.name: settings.axis_number.get(axis.name, i + 1) for i, axis in enumerate(model.axes)}
+    return SagTable(
+        index=index,
+        source=name,
+        base=base,
+        output=output,
+        base_number=numbers[base.axis.name],
+        output_number=numbers[output.axis.name],
+        p0_mm=p0_mm,
+        p_min_mm=p_min_mm,
+        p_max_mm=p_max_mm,
+        slope_ref_um_per_m=reference,
+        register_mm=tuple(register_mm.tolist()),
+        weight=register_law(law, law.slope, 1.0 / reference),
+    )
+
+
+def _left_out(law: Law, counted: Law, grid: dict[str, Floats]) -> LeftOut:
+    def warmest(one: Law) -> float:
+        theta = np.array([[grid[sensor][-1] for sensor in one.inputs]])
+        return float(one.line(one.rises_K(theta))[0][0])
+
+    return LeftOut(law.name, counted.name, warmest(law), warmest(counted))
+
+
+def _check_settings(model: ModelDocument, settings: SinumerikSettings, file: str) -> None:
+    axes = {axis.name: axis for axis in model.axes}
+    found: list[tuple[str, str]] = []
+    for key in ("axis_name", "axis_number"):
+        for name in getattr(settings, key):
+            if name not in axes:
+                found.append((f"{key}.{name}: the model has no axis {name}.", f"its axes are {', '.join(axes)}."))
+    for direction, name in settings.output_axis.items():
+        if name not in axes or axes[name].cartesian != direction:
+            along = [axis.name for axis in model.axes if axis.cartesian == direction]
+            found.append(
+                (f"output_axis.{direction} = {name!r}: not an axis along {direction}.", f"choose from {along}.")
+            )
+    for direction, name in settings.drift_source.items():
+        if name not in model.components or model.components[name].direction != direction:
+            known = [n for n, component in model.components.items() if component.direction == direction]
+            found.append(
+                (f"drift_source.{direction} = {name!r}: not an error in {direction}.", f"choose from {known}.")
+            )
+    if settings.reference_degC is not None:
+        inputs = {sensor for component in model.components.values() for sensor in component.inputs}
+        lacking, spare = sorted(inputs - set(settings.reference_degC)), sorted(set(settings.reference_degC) - inputs)
+        if lacking or spare:
+            text = f"reference_degC: missing {lacking or 'nothing'}, not an input of the model: {spare or 'nothing'}."
+            found.append((text, f"give the temperature of each of {sorted(inputs)}."))
+    for key, values in (
+        ("axis_number", [str(settings.axis_number.get(a.name, i + 1)) for i, a in enumerate(model.axes)]),
+        ("axis_name", [settings.axis_name.get(a.name, f"{a.name}1") for a in model.axes]),
+    ):
+        twice = sorted({value for value in values if values.count(value) > 1})
+        if twice:
+            found.append((f"{key}: {', '.join(twice)} stands for two axes.", f"set [{key}] for every axis."))
+    _raise(found, file)
+
+
+def _check_sum(settings: SinumerikSettings, needed_mm: dict[str, float], file: str) -> None:
+    limit = settings.md32720_cec_max_sum_mm
+    _raise(
+        [
+            (
+                f"md32720_cec_max_sum_mm = {limit} mm, but the tables for axis {name} reach {value} mm;"
+                " the control would clamp the sum.",
+                f"set at least {value}, or leave the setting out.",
+            )
+            for name, value in needed_mm.items()
+            if limit is not None and limit < value
+        ],
+        file,
+    )
+
+
+def _raise(found: list[tuple[str, str]], file: str) -> None:
+    if found:
+        raise InputError([Problem("error", "export-settings", file, message, fix) for message, fix in found])

@@ -1,0 +1,165 @@
+"""The texts that a SINUMERIK reads or that a writer of its registers needs. NC files are plain ASCII."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import numpy as np
+
+from thetacomp import __version__
+from thetacomp.controllers.base import RegisterLaw
+from thetacomp.controllers.sinumerik import GRID_STATES, TABLE_POINTS, Plan, SagTable
+
+TABLE_COLUMNS = 6  # a block of an NC program must stay below 512 characters, comments too
+UNPROVEN = (
+    "SIGN UNPROVEN: the source of this model does not state its sign convention or axis directions.",
+    "Do not switch the compensation on before the measurement itself and the +10 um sign test have proven both.",
+)
+
+
+def number(value: float) -> str:
+    """The number to 15 significant digits as decimal text, without an exponent (NC blocks have none)."""
+    text = np.format_float_positional(float(f"{value:.15g}"), trim="0")
+    return "0.0" if text == "-0.0" else text
+
+
+def rounded(value: float, digits: int) -> str:
+    """A decimal text with at most `digits` places, never "-0.0"."""
+    return number(round(value, digits) + 0.0)
+
+
+def temperature_program(plan: Plan) -> str:
+    """`sinumerik_temperature_compensation.spf`: machine data, start values at zero, and the law of every register."""
+    lines = ["%_N_THETACOMP_TEMP_SPF", ";$PATH=/_N_SPF_DIR", *_head(plan)]
+    lines += [
+        "; It switches the functions on with all values at zero: nothing is compensated until values are written.",
+        ";",
+    ]
+    lines += ["; --- 1 machine data (MD32750: bit 0 = K0, bit 1 = tanbeta; effective after POWER ON)"]
+    for axis in plan.axes:
+        name, factor = axis.channel_axis, number(plan.settings.md32760_comp_add_velo_factor)
+        lines.append(f"$MA_TEMP_COMP_TYPE[{name}]={axis.compensation_type} ; MD32750")
+        lines.append(f"$MA_COMP_ADD_VELO_FACTOR[{name}]={factor} ; MD32760")
+    for output, limit_mm in plan.max_sum_mm.items():
+        name = next(t.output.channel_axis for t in plan.tables if t.output.axis.name == output)
+        lines.append(f"$MA_CEC_MAX_SUM[{name}]={number(limit_mm)} ; MD32720, mm")
+        lines.append(f"$MA_CEC_MAX_VELO[{name}]={number(plan.settings.md32730_cec_max_velo_factor)} ; MD32730")
+    lines += [";", "; --- 2 start values"]
+    for axis in plan.axes:
+        name = axis.channel_axis
+        lines.append(f"$SA_TEMP_COMP_ABS_VALUE[{name}]=0.0 ; SD43900, K0, mm")
+        lines.append(f"$SA_TEMP_COMP_SLOPE[{name}]=0.0 ; SD43910, tanbeta, mm/mm")
+        lines.append(f"$SA_TEMP_COMP_REF_POSITION[{name}]={number(axis.register_p0_mm)} ; SD43920, P0, mm in MCS")
+    lines += [f"$SN_CEC_TABLE_WEIGHT[{table.index}]=0.0 ; SD41310, {table.source}" for table in plan.tables]
+    lines += [";", "; --- 3 the law of every register: constant + sum of factor * (temperature - reference), degC"]
+    for label, law in _laws(plan):
+        lines += [f"; {label} = {number(law.constant)}"]
+        for sensor, slope, reference in zip(law.sensors, law.factors, law.reference_degC, strict=True):
+            lines.append(f"; {label} + {number(slope)} * ({sensor} - {number(reference)})")
+    lines += [";", f"; --- 4 values at {GRID_STATES} states over the training range (all inputs rise together)"]
+    columns = register_columns(plan)
+    for first in range(0, len(columns), TABLE_COLUMNS):
+        lines += [f"; {row}" for row in _table(plan, columns[first : first + TABLE_COLUMNS])]
+    return _ascii([*lines, "M17"])
+
+
+def sag_tables(plan: Plan) -> str:
+    """`sinumerik_cec.ini`: one straight table a cross error; SD41310 carries the slope."""
+    lines = ["%_N_NC_CEC_INI", ";$PATH=/_N_NC_ACT/_N_CEC_DIR", *_head(plan)]
+    lines += [
+        f"; Before loading: MD18342 $MN_MM_CEC_MAX_POINTS[t] >= {TABLE_POINTS} for"
+        f" t = {', '.join(str(t.index) for t in plan.tables)} (reformats static memory: archive first;",
+        "; the 828D has 8 fixed tables), MD32710 $MA_CEC_ENABLE of the output axes = 0.",
+        "; After loading: POWER ON, MD32710 = 1, SD41310 weight = 0, SD41300 $SN_CEC_TABLE_ENABLE[t] = 1.",
+        "; Tables of the same number that are already in the control are overwritten.",
+        "CHANDATA(1)",
+    ]
+    for table in plan.tables:
+        lines += _sag_block(table)
+    return _ascii([*lines, "M17"])
+
+
+def values_csv(plan: Plan) -> str:
+    """`sinumerik_values.csv`: temperatures of the inputs and what every register wants there."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    columns = register_columns(plan)
+    writer.writerow([*(f"{sensor}_degC" for sensor in plan.grid_degC), *(name for name, _, _ in columns)])
+    values = [law.at(plan.grid_degC) for _, law, _ in columns]
+    for i in range(GRID_STATES):
+        row = [rounded(float(degC[i]), 6) for degC in plan.grid_degC.values()]
+        row += [rounded(float(v[i]), digits) for v, (_, _, digits) in zip(values, columns, strict=True)]
+        writer.writerow(row)
+    return out.getvalue()
+
+
+def register_columns(plan: Plan) -> list[tuple[str, RegisterLaw, int]]:
+    """Column name, law and decimal places of every register that changes with temperature."""
+    out: list[tuple[str, RegisterLaw, int]] = []
+    for axis in plan.axes:
+        if axis.drift_source:
+            out.append((f"K0_{axis.channel_axis}_mm", axis.register_k0_mm, 7))
+        if axis.slope_source:
+            out.append((f"tanbeta_{axis.channel_axis}", axis.register_tan_beta, 12))
+    out += [(f"weight_table_{table.index}", table.weight, 9) for table in plan.tables]
+    return out
+
+
+def _laws(plan: Plan) -> list[tuple[str, RegisterLaw]]:
+    out: list[tuple[str, RegisterLaw]] = []
+    for axis in plan.axes:
+        if axis.drift_source:
+            out.append((f"K0[{axis.channel_axis}] mm ({axis.drift_source})", axis.register_k0_mm))
+        if axis.slope_source:
+            out.append((f"tanbeta[{axis.channel_axis}] mm/mm ({axis.slope_source})", axis.register_tan_beta))
+    out += [(f"weight[{table.index}] ({table.source})", table.weight) for table in plan.tables]
+    return out
+
+
+def _head(plan: Plan) -> list[str]:
+    model = plan.model
+    lines = [f"; thermal compensation for SINUMERIK, written by thetacomp {__version__}"]
+    if plan.sign_unproven:
+        lines += [f"; !!! {line} !!!" for line in UNPROVEN]
+    lines += [
+        f"; machine {model.machine}; model of {model.created}, trained on {', '.join(model.training.campaigns)}",
+        "; Values follow the error E = actual - commanded with sign_temperature ="
+        f" {plan.settings.sign_temperature:+d}, sign_cec = {plan.settings.sign_cec:+d}; both wait for the sign test.",
+    ]
+    return lines
+
+
+def _table(plan: Plan, columns: list[tuple[str, RegisterLaw, int]]) -> list[str]:
+    names = [f"{sensor}_degC" for sensor in plan.grid_degC]
+    cells = [[f"{degC[i]:.3f}" for degC in plan.grid_degC.values()] for i in range(GRID_STATES)]
+    for name, law, digits in columns:
+        names.append(name)
+        for row, value in zip(cells, law.at(plan.grid_degC), strict=True):
+            row.append(f"{value:.{digits}f}")
+    widths = [max(len(name), *(len(row[k]) for row in cells)) for k, name in enumerate(names)]
+    return [" ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)) for row in (names, *cells)]
+
+
+def _sag_block(table: SagTable) -> list[str]:
+    t, source = table.index, table.source
+    values = [f"$AN_CEC[{t},{n}]={rounded(value, 9)}" for n, value in enumerate(table.register_mm)]
+    return [
+        f"; {source}: base {table.base.channel_axis}, output {table.output.channel_axis},"
+        f" {number(table.slope_ref_um_per_m)} um/m at weight 1, zero at {number(table.p0_mm)} mm",
+        *values,
+        f"$AN_CEC_INPUT_AXIS[{t}]=(AX{table.base_number})",
+        f"$AN_CEC_OUTPUT_AXIS[{t}]=(AX{table.output_number})",
+        f"$AN_CEC_STEP[{t}]={number(table.step_mm)}",
+        f"$AN_CEC_MIN[{t}]={number(table.p_min_mm)}",
+        f"$AN_CEC_MAX[{t}]={number(table.p_max_mm)}",
+        f"$AN_CEC_DIRECTION[{t}]=0",
+        f"$AN_CEC_MULT_BY_TABLE[{t}]=0",
+        f"$AN_CEC_IS_MODULO[{t}]=0",
+    ]
+
+
+def _ascii(lines: list[str]) -> str:
+    # A control may refuse or mangle letters beyond ASCII even in a comment; a machine name can hold them.
+    text = "".join(" ".join(line.splitlines()) + "\n" for line in lines)
+    return text.encode("ascii", "backslashreplace").decode("ascii")

@@ -1,0 +1,26 @@
+"""The export targets of this version: a model and a settings file in, the files of the target out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from thetacomp.controllers.base import ExportFile, read_settings
+from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
+from thetacomp.controllers.sinumerik_sheet import commissioning_sheet
+from thetacomp.models.document import ModelDocument
+
+
+def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> tuple[ExportFile, ...]:
+    """The files for a SINUMERIK 840D sl or ONE. Raises InputError where the settings do not fit."""
+    settings = read_settings(settings_path, SinumerikSettings)
+    plan = make_plan(model, settings, str(settings_path or "export.toml"))
+    files = [ExportFile("sinumerik_temperature_compensation.spf", temperature_program(plan))]
+    if plan.tables:
+        files.append(ExportFile("sinumerik_cec.ini", sag_tables(plan)))
+    files.append(ExportFile("sinumerik_values.csv", values_csv(plan)))
+    return (*files, ExportFile("commissioning_sheet.html", commissioning_sheet(plan)))
+
+
+TARGETS: Mapping[str, Callable[[ModelDocument, Path | None], tuple[ExportFile, ...]]] = {"sinumerik": export_sinumerik}
