@@ -92,7 +92,7 @@ def test_going_on_from_an_exported_state_changes_nothing():
         again = FilterState.from_dict(json.loads(json.dumps(state.to_dict())))
         rest, end = run_filters(t_s[cut:], u[cut:], taus_s, again)
         np.testing.assert_allclose(rest, whole[cut:], rtol=1e-9, atol=1e-10)
-        assert end.started_s == t_s[0]
+        assert end.t_s == t_s[-1]
 
 
 def test_missing_start_waits_for_first_good_value():
@@ -133,12 +133,11 @@ def test_columns_are_what_their_names_say():
     heat = one_lag(t_s, np.where(t_s > 900.0, 9.0, 0.0), 600.0)
     np.testing.assert_allclose(column["speed^2 lag 600 s"], heat)
     np.testing.assert_allclose(column["speed^2 lag 600 s x mean rise"], heat * (theta.mean(axis=1) - 20.0))
-    np.testing.assert_allclose(column["start state 600 s"], np.exp(-t_s / 600.0))
 
 
 def test_layout_without_speed_and_wrong_layouts():
     layout = HistoryLayout(sensors=("a",), time_constants_s=(60.0,), speed_powers=(), base_degC=20.0)
-    assert history_inputs(layout, np.arange(3.0), np.full((3, 1), 21.0)).shape == (3, 3)
+    assert history_inputs(layout, np.arange(3.0), np.full((3, 1), 21.0)).shape == (3, 2)
     with pytest.raises(AnalysisError, match="2 temperatures found, 1 expected"):
         layout.signals(np.zeros((3, 2)))
     with pytest.raises(AnalysisError, match="spindle speed"):

@@ -32,11 +32,10 @@ class FilterState:
     """What the filters remember: enough to go on after a pause, apart from any datum.
 
     `signal` (signals,) is the last good input, held until the next one; `lag` (time constants, signals) the filters'
-    outputs at `t_s`; NaN for a signal that never had a good value. `started_s` is when the filters were started.
+    outputs at `t_s`; NaN for a signal that never had a good value.
     """
 
     t_s: float
-    started_s: float
     signal: Floats
     lag: Floats
 
@@ -48,7 +47,6 @@ class FilterState:
 
         return {
             "t_s": self.t_s,
-            "started_s": self.started_s,
             "signal": plain(self.signal),
             "lag": [plain(row) for row in self.lag],
         }
@@ -58,7 +56,6 @@ class FilterState:
         """The inverse of `to_dict`."""
         return cls(
             t_s=float(raw["t_s"]),
-            started_s=float(raw["started_s"]),
             signal=np.array(raw["signal"], dtype=np.float64),
             lag=np.array(raw["lag"], dtype=np.float64),
         )
@@ -67,7 +64,7 @@ class FilterState:
 def start_filters(t_s: float, signal: Floats, time_constants_s: tuple[float, ...]) -> FilterState:
     """Filters at rest on the first values: every lag equals its input."""
     signal = np.asarray(signal, dtype=np.float64)
-    return FilterState(t_s=t_s, started_s=t_s, signal=signal, lag=np.tile(signal, (len(time_constants_s), 1)))
+    return FilterState(t_s=t_s, signal=signal, lag=np.tile(signal, (len(time_constants_s), 1)))
 
 
 def step_filters(state: FilterState, t_s: float, signal: Floats, time_constants_s: tuple[float, ...]) -> FilterState:
@@ -83,9 +80,7 @@ def step_filters(state: FilterState, t_s: float, signal: Floats, time_constants_
     lag = keep * state.lag + (1.0 - keep) * state.signal
     first = np.isnan(state.signal) & np.isfinite(signal)
     lag[:, first] = signal[first]
-    return FilterState(
-        t_s=t_s, started_s=state.started_s, signal=np.where(np.isfinite(signal), signal, state.signal), lag=lag
-    )
+    return FilterState(t_s=t_s, signal=np.where(np.isfinite(signal), signal, state.signal), lag=lag)
 
 
 def run_filters(
@@ -115,7 +110,7 @@ def run_filters(
     unknown = np.arange(1, len(t_s) + 1)[:, None] < first
     lags[np.broadcast_to(unknown[:, None, :], lags.shape)] = np.nan
     last = np.where(first > len(t_s), np.nan, held[-1])
-    return lags, FilterState(t_s=float(t_s[-1]), started_s=state.started_s, signal=last, lag=lags[-1].copy())
+    return lags, FilterState(t_s=float(t_s[-1]), signal=last, lag=lags[-1].copy())
 
 
 def _hold(signal: Floats) -> tuple[Floats, Floats]:
@@ -162,7 +157,7 @@ class HistoryLayout(Strict):
     """
 
     sensors: tuple[str, ...] = Field(min_length=1)
-    time_constants_s: tuple[float, ...] = (900.0, 3600.0, 14400.0)
+    time_constants_s: tuple[float, ...] = (480.0, 900.0, 1800.0, 3600.0, 7200.0, 14400.0, 28800.0)
     speed_powers: tuple[int, ...] = (1, 2)
     base_degC: float
 
@@ -197,11 +192,9 @@ class HistoryLayout(Strict):
         for power in self.speed_powers:
             for tau_s in self.time_constants_s:
                 out[f"speed^{power} x rise {tau_s:g} s"] = (f"speed^{power} lag {tau_s:g} s x mean rise",)
-        for tau_s in self.time_constants_s:
-            out[f"start {tau_s:g} s"] = (f"start state {tau_s:g} s",)
         return out
 
-    def inputs(self, t_s: Floats, started_s: float, signals: Floats, lags: Floats) -> Floats:
+    def inputs(self, signals: Floats, lags: Floats) -> Floats:
         """All inputs (n, inputs) from signals (n, signals) and their lags (n, time constants, signals).
 
         A filter keeps running when the datum is set anew: what counts from a datum is the difference of two rows.
@@ -210,9 +203,8 @@ class HistoryLayout(Strict):
         temperature = signals[:, :p]
         rise_K = temperature.mean(axis=1, keepdims=True) - self.base_degC
         speed = lags[:, :, p:].transpose(0, 2, 1).reshape(len(signals), -1)
-        age = (np.asarray(t_s, dtype=np.float64)[:, None] - started_s) / np.asarray(self.time_constants_s)
         differences = (temperature[:, None, :] - lags[:, :, :p]).reshape(len(signals), -1)
-        return np.hstack([temperature, differences, speed, speed * rise_K, np.exp(-age)])
+        return np.hstack([temperature, differences, speed, speed * rise_K])
 
 
 def history_inputs(
@@ -220,8 +212,8 @@ def history_inputs(
 ) -> Floats:
     """Inputs (n, inputs) of one unbroken recording, with filters that start at rest on its first row."""
     signals = layout.signals(temperature_degC, speed_rpm)
-    lags, state = run_filters(t_s, signals, layout.time_constants_s)
-    return layout.inputs(t_s, state.started_s, signals, lags)
+    lags, _ = run_filters(t_s, signals, layout.time_constants_s)
+    return layout.inputs(signals, lags)
 
 
 def held_labels(
