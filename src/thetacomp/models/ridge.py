@@ -49,7 +49,7 @@ Candidate = tuple[BlockUse, ...]
 
 
 def history_candidates(layout: HistoryLayout) -> tuple[Candidate, ...]:
-    """The fixed list of candidates for a layout: 144 with speed and its square, 12 without speed.
+    """The fixed list of candidates for a layout: 144 with speed and its square, 8 without speed.
 
     Every candidate has the temperatures. It may have their differences to lags, speed lags (one power or all, narrow
     or wide) and products of the lagged highest power with the mean rise. Its lags are three of the layout's time
@@ -60,9 +60,12 @@ def history_candidates(layout: HistoryLayout) -> tuple[Candidate, ...]:
     powers = list(dict.fromkeys([*((power,) for power in layout.speed_powers), layout.speed_powers]))
     speeds = product(powers, (0.3, 1.0), (0.0, 0.3)) if layout.speed_powers else [((), 0.0, 0.0)]
     scales: tuple[Literal["each", "common"], ...] = ("common", "each")
+    # without lags and speed the grids give the same candidate: it counts once
     return tuple(
-        _candidate(taus_s, scale, lag_width, *speed)
-        for scale, lag_width, speed, taus_s in product(scales, (0.0, 0.3), speeds, grids)
+        dict.fromkeys(
+            _candidate(taus_s, scale, lag_width, *speed)
+            for scale, lag_width, speed, taus_s in product(scales, (0.0, 0.3), speeds, grids)
+        )
     )
 
 
@@ -168,7 +171,11 @@ class HistoryRidge(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scik
         self.strengths = strengths
 
     def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike) -> HistoryRidge:
-        """Choose strengths and weights by holding out each group once, then fit on all. Raises AnalysisError."""
+        """Choose strengths and weights by holding out each group once, then fit on all.
+
+        A row with a missing input or target is left out. Raises AnalysisError for fewer than 2 groups or shapes that
+        do not fit together.
+        """
         x, target, labels = self._checked(X, y, groups)
         moments = CampaignMoments.of(x, target, labels)
         campaigns = list(range(len(moments.n)))
