@@ -132,6 +132,7 @@ def test_columns_are_what_their_names_say():
     # speed counts in 1000 rpm, whatever the direction of rotation
     heat = one_lag(t_s, np.where(t_s > 900.0, 9.0, 0.0), 600.0)
     np.testing.assert_allclose(column["speed^2 lag 600 s"], heat)
+    np.testing.assert_allclose(column["speed^1 lag 600 s"], heat / 3.0)
     np.testing.assert_allclose(column["speed^2 lag 600 s x mean rise"], heat * (theta.mean(axis=1) - 20.0))
 
 
