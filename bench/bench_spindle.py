@@ -143,9 +143,8 @@ def main(path: Path) -> None:
         for channel, values in zip(CHANNELS, rmse_um(spindle, rows[name][1]).T[:, :6], strict=True):
             print(f"{channel:10}" + "".join(f"{value:7.2f}" for value in values))
     print(f"\nnested hold-out of 5 channels: {seconds:.0f} s on one core")
-    print(
-        f"configurations ever scored on held-out rows: {scored_configurations()}; inner comparisons: about 370 (bench/spindle_log.md)"
-    )
+    print(f"configurations scored by leaving one campaign out: {scored_configurations()}")
+    print("compared on the way by scores of the same rows inside training campaigns: about 360 (bench/spindle_log.md)")
 
 
 if __name__ == "__main__":
