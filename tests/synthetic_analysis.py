@@ -28,7 +28,7 @@ from thetacomp.machine import Axis, HeatSource, Machine, Sensor, SensorRole
 from thetacomp.models.document import Component, LinearTerm, ModelDocument, Reference, Training
 from thetacomp.separation.result import ComponentSeparation, GeometryCurve, LinearityTest, Points
 from thetacomp.temperature.result import LayoutCheck, SensorRise
-from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
+from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 
 HOUR_S = 3600.0
 
@@ -320,7 +320,12 @@ def _assemble(folder: MachineFolder, parts: Sequence[ComponentSeparation], keys:
         AcceptanceCheck("permutation p-value", 0.005, "<=", 0.05, True, "better than shuffled states"),
         AcceptanceCheck("coverage of the 95 % band (%)", 93.1, ">=", 90.0, True, "the stated band can be believed"),
     )  # fmt: skip
+    held_out = tuple(
+        HeldOutStates(s.component, s.campaign, s.t_s, np.abs(s.intercept_um), 0.2 * np.abs(s.intercept_um))
+        for s in parts
+    )
     return Analysis(
+        held_out=held_out,
         folder=folder, rises=_rises(folder), layout=_layout(folder.machine), separations=tuple(parts),
         parameter_correlations=_correlation(states, columns), sensor_correlations=_correlation(columns, columns),
         key_points=tuple(_key_points(a, k, folder.machine.sensor_ids) for a, k in keys.items()),

@@ -75,8 +75,8 @@ def error_over_position(analysis: Analysis) -> list[style.NamedFigure]:
         style.time_bar(figure, places.values(), norm)
         measured = any(s.points is not None for s in parts)
         caption = (
-            "Dots: measured points (a cross is an outlier without weight). Lines: geometry plus the separated thermal"
-            " line of each state."
+            "Dots: measured points (a cross is an outlier without weight; one beyond the frame stands at its edge)."
+            " Lines: geometry plus the separated thermal line of each state."
             if measured
             else "Thermal lines S (p - P0) + I of each state, less the cold state; points and geometry are not part of"
             " the data. A state with a missing value is left out."
@@ -104,11 +104,17 @@ def _draw_states(axes: Axes, part: ComponentSeparation, norm: Normalize) -> None
                 axes.plot(curve.position_mm, value, color=color, lw=0.9, ls=style.DIRECTION_MARKS[curve.direction][1])
     if points is None:
         return
-    for bad, mark, size in ((False, "o", 5.0), (True, "x", 14.0)):
+    # A gross outlier must not flatten the picture: one beyond the frame stands at its edge.
+    good = points.error_um[~points.outlier]
+    margin = 0.12 * (np.ptp(good) or 1.0)
+    low, high = good.min() - margin, good.max() + margin
+    axes.set_ylim(low, high)
+    for bad, mark, size in ((False, "o", 5.0), (True, "x", 18.0)):
         rows = np.flatnonzero(points.outlier == bad)
         rows = rows[style.stride(len(rows), _MOST_POINTS)]
         color = TIME_COLORS(norm(points.t_s[rows] / HOUR_S))
-        axes.scatter(points.position_mm[rows], points.error_um[rows], s=size, c=color, marker=mark, lw=0.8 * bad)
+        value = np.clip(points.error_um[rows], low, high)
+        axes.scatter(points.position_mm[rows], value, s=size, c=color, marker=mark, lw=bad, clip_on=False)
 
 
 @style.styled

@@ -13,11 +13,11 @@ from thetacomp.campaign import Floats
 from thetacomp.models.document import Component, LinearTerm
 from thetacomp.report import style
 from thetacomp.report.figures_error import in_order_of_axes
-from thetacomp.report.prediction import half_band, predict_states, reference_degC, term_at, worst_over_travel_um
+from thetacomp.report.prediction import half_band, predict_states, reference_degC, term_at
 from thetacomp.report.style import HOUR_S, TIME_COLORS
 from thetacomp.report.tables import POOLED, component_name, main_split, pooled, split_words
 from thetacomp.separation.result import ComponentSeparation
-from thetacomp.validation.result import ValidationRow
+from thetacomp.validation.result import HeldOutStates, ValidationRow
 
 _CAMPAIGN_MARKS = ("o", "s", "D", "^", "v", "P", "X", "*")
 _MOST_POINTS = 1200
@@ -266,26 +266,22 @@ def _before_after_legend(models: Sequence[str]) -> list[Line2D]:
 
 @style.styled
 def error_over_time(analysis: Analysis) -> list[style.NamedFigure]:
-    """Largest error over the travel at each state, before and after the stored model, with the held-out maximum."""
-    parts = [s for s in in_order_of_axes(analysis) if predict_states(analysis, s) is not None]
-    names = list(dict.fromkeys(s.component for s in parts))[:_MOST_TIME_PANELS]
+    """Largest error over the travel at each held-out state, before and after the default model."""
+    names = [c for c in dict.fromkeys(s.component for s in in_order_of_axes(analysis)) if c in _held_out_names(analysis)]
+    names = names[:_MOST_TIME_PANELS]
     if not names:
         return []
     columns = min(3, len(names))
     lines = -(-len(names) // columns)
     figure = style.new_figure(0.9 + 1.75 * lines)
     grid = figure.subplots(lines, columns, squeeze=False, sharex=True)
-    campaigns = list(dict.fromkeys(s.campaign for s in parts))
-    held_out_rows = pooled([r for r in analysis.validation if r.split == main_split(analysis)])
+    faint = len({item.campaign for item in analysis.held_out}) > 1
     for k, axes in enumerate(grid.ravel()):
         if k >= len(names):
             axes.set_axis_off()
             continue
-        for part in (s for s in parts if s.component == names[k]):
-            _draw_over_time(axes, analysis, part, len(campaigns) > 1)
-        held_out = _largest(held_out_rows, names[k], "default", "max_after_um")
-        if np.isfinite(held_out):
-            axes.axhline(held_out, color=style.BLUE, lw=1.0, ls=(0, (4, 3)))
+        for item in (i for i in analysis.held_out if i.component == names[k]):
+            _draw_over_time(axes, item, faint)
         axes.set_title(names[k])
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("largest |error| (µm)")
@@ -294,23 +290,25 @@ def error_over_time(analysis: Analysis) -> list[style.NamedFigure]:
             axes.tick_params(labelbottom=True)
     handles = [
         Line2D([], [], color=style.BEFORE, marker="o", ms=3.5, label="before"),
-        Line2D([], [], color=style.BLUE, marker="o", ms=3.5, label="after the stored model (in-sample)"),
-        Line2D([], [], color=style.BLUE, lw=1.0, ls=(0, (4, 3)), label="held-out maximum"),
+        Line2D([], [], color=style.BLUE, marker="o", ms=3.5, label="after, held out"),
     ]
-    figure.legend(handles=handles, loc="outside upper right", ncols=3)
+    figure.legend(handles=handles, loc="outside upper right", ncols=2)
     caption = (
-        "Largest error over the travel at each state, from the thermal lines. The stored model was trained on these"
-        " states, so its curve is in-sample; the dashed line is the held-out maximum and is the one to trust."
+        "Largest error over the travel at each state, before and after compensation by models that have not seen the"
+        " state (or its campaign)."
     )
     return [style.NamedFigure("error_over_time", "over_time", "Error over time, before and after", caption, figure)]
 
 
-def _draw_over_time(axes: Axes, analysis: Analysis, part: ComponentSeparation, faint: bool) -> None:
-    hours = part.t_s / HOUR_S
+def _held_out_names(analysis: Analysis) -> set[str]:
+    return {item.component for item in analysis.held_out}
+
+
+def _draw_over_time(axes: Axes, item: HeldOutStates, faint: bool) -> None:
+    hours = item.t_s / HOUR_S
     marker = "o" if len(hours) <= 40 else ""
     # A long record is drawn as the largest value of each stretch of time.
-    for predicted, color in ((None, style.BEFORE), (predict_states(analysis, part), style.BLUE)):
-        worst = worst_over_travel_um(part, predicted)
+    for value_um, color in ((item.before_um, style.BEFORE), (item.after_um, style.BLUE)):
         axes.plot(
-            *style.highest(hours, worst), color=color, marker=marker, ms=3.5, lw=1.2, alpha=0.75 if faint else 1.0
+            *style.highest(hours, value_um), color=color, marker=marker, ms=3.5, lw=1.2, alpha=0.75 if faint else 1.0
         )

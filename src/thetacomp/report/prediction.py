@@ -68,14 +68,3 @@ def predict_states(analysis: Analysis, state: ComponentSeparation) -> PredictedS
     # The model may count positions from another P0 than the separation; the line itself is the same.
     intercept = intercept + slope * (state.p0_mm - component.p0_mm) / 1000.0
     return PredictedStates(rise_K, intercept, slope)
-
-
-def worst_over_travel_um(state: ComponentSeparation, predicted: PredictedStates | None) -> Floats:
-    """Largest |error| over the travel at each state, (n,): of the thermal line, or of what the model leaves of it."""
-    intercept, slope = state.intercept_um, state.slope_um_per_m
-    if predicted is not None:
-        intercept = intercept - predicted.intercept_um
-        slope = slope if predicted.slope_um_per_m is None else slope - predicted.slope_um_per_m
-    # A straight line is largest at an end of the travel.
-    ends = [intercept + slope * (end - state.p0_mm) / 1000.0 for end in (state.p_min_mm, state.p_max_mm)]
-    return np.asarray(np.maximum(np.abs(ends[0]), np.abs(ends[1])))
