@@ -15,7 +15,7 @@ from thetacomp.report import style
 from thetacomp.report.figures_error import in_order_of_axes
 from thetacomp.report.prediction import half_band, predict_states, reference_degC, term_at
 from thetacomp.report.style import HOUR_S, TIME_COLORS
-from thetacomp.report.tables import POOLED, component_name, main_split, pooled, split_words
+from thetacomp.report.tables import POOLED, component_name, pooled, split_words
 from thetacomp.separation.result import ComponentSeparation
 from thetacomp.validation.result import HeldOutStates, ValidationRow
 
@@ -267,8 +267,9 @@ def _before_after_legend(models: Sequence[str]) -> list[Line2D]:
 @style.styled
 def error_over_time(analysis: Analysis) -> list[style.NamedFigure]:
     """Largest error over the travel at each held-out state, before and after the default model."""
-    names = [c for c in dict.fromkeys(s.component for s in in_order_of_axes(analysis)) if c in _held_out_names(analysis)]
-    names = names[:_MOST_TIME_PANELS]
+    known = {item.component for item in analysis.held_out}
+    ordered = dict.fromkeys(s.component for s in in_order_of_axes(analysis))
+    names = [component for component in ordered if component in known][:_MOST_TIME_PANELS]
     if not names:
         return []
     columns = min(3, len(names))
@@ -298,10 +299,6 @@ def error_over_time(analysis: Analysis) -> list[style.NamedFigure]:
         " state (or its campaign)."
     )
     return [style.NamedFigure("error_over_time", "over_time", "Error over time, before and after", caption, figure)]
-
-
-def _held_out_names(analysis: Analysis) -> set[str]:
-    return {item.component for item in analysis.held_out}
 
 
 def _draw_over_time(axes: Axes, item: HeldOutStates, faint: bool) -> None:
