@@ -20,8 +20,8 @@ from thetacomp.temperature.layout import layout_checks
 from thetacomp.validation.acceptance import acceptance_checks
 from thetacomp.validation.folds import forward_in_time, hold_out, named_test
 from thetacomp.validation.permutation import permutation_test
-from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
-from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, rows_of
+from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
+from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, held_out_states, rows_of
 
 SEED = 20120951
 
@@ -62,7 +62,7 @@ def analyze_folder(
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
 
     progress("validating on held-out data")
-    residuals, rows = _validate(folder, everything, test, procedure, paper)
+    residuals, rows, held_out = _validate(folder, everything, test, procedure, paper)
     permutations = _permutations(training, procedure)
     parameter_correlations, sensor_correlations = correlation_tables([parameter_table(s) for s in training])
     return Analysis(
@@ -79,6 +79,7 @@ def analyze_folder(
         permutations=permutations,
         acceptance=acceptance_checks([r for r in residuals if r.split != "forward"], rows, permutations, model),
         notes=notes,
+        held_out=held_out,
     )
 
 
@@ -126,10 +127,11 @@ def _validate(
     test: Sequence[str],
     procedure: Procedure,
     paper: Procedure,
-) -> tuple[list[Residuals], tuple[ValidationRow, ...]]:
+) -> tuple[list[Residuals], tuple[ValidationRow, ...], tuple[HeldOutStates, ...]]:
     """Hold out by campaign or state, and forward in time, with every baseline beside the model."""
     residuals: list[Residuals] = []
     rows: list[ValidationRow] = []
+    by_state: list[HeldOutStates] = []
     for states in everything:
         procedures: dict[str, Procedure] = {
             "default": procedure,
@@ -150,8 +152,9 @@ def _validate(
         for item in own:
             rows += rows_of(item, states.campaigns)
         rows += column_rows(states, own, cartesian)
+        by_state += held_out_states(states, [item for item in own if item.split != "forward"], "default")
         residuals += own
-    return residuals, tuple(rows)
+    return residuals, tuple(rows), tuple(by_state)
 
 
 def _permutations(training: Sequence[AxisStates], procedure: Procedure) -> tuple[PermutationTest, ...]:
