@@ -422,7 +422,7 @@ def _search_pairs(products: Any, node: Any, pivot: int, explained: float, smalle
             limit = min(best_score, incumbent[0]) + TIE
             if gains[j] >= 1.0 - explained - limit and bounds[j] <= limit:
                 subset[-1] = chosen + i + 1 + j
-                best_score = _offer(products, columns[subset], best, best_score, incumbent, work)
+                best_score = _offer(products, columns[subset].astype(np.int64), best, best_score, incumbent, work)
     return best_score
 
 
