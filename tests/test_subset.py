@@ -9,6 +9,7 @@ import pytest
 from thetacomp.errors import AnalysisError
 from thetacomp.keypoints import _subset_kernel as kernel
 from thetacomp.keypoints import subset as module
+from thetacomp.keypoints._subset_bounds import branch
 from thetacomp.keypoints.subset import accuracy_curve, best_subset, best_subset_per_target, selection_frequency
 from thetacomp.summary import merge, summarise
 
@@ -134,6 +135,21 @@ def test_bounds_leave_most_subsets_out_where_few_sensors_matter():
     assert found.sensors == ("s2", "s5", "s7", "s11", "s13", "s17", "s19", "s23")
     assert found.proven
     assert found.evaluated < found.subsets / 100
+
+
+def test_no_subset_is_forgotten_where_nothing_is_pruned():
+    campaigns = summaries(problem(18, 10))
+    products, _ = module._products(campaigns, module._weights(merge(campaigns), None), "residual")
+    root = np.array([[0, 10, *range(10)]], dtype=np.int32)
+    children, bounds = np.empty((10, 12), dtype=np.int32), np.empty(10)
+    number = branch(products, 5, root, np.zeros(1), inf, children, bounds)
+    assert sum(comb(int(free), 4) for free in children[:number, 1]) == comb(10, 5)
+    for k in (2, 3):
+        compared = sum(
+            kernel.search(products, k, root, np.zeros(1), first, 2, np.zeros(k, np.int64), inf, np.array([inf]))[1]
+            for first in range(2)
+        )
+        assert compared == comb(10, k)
 
 
 def test_weights_in_um_decide_which_target_counts():
