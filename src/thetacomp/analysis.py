@@ -10,8 +10,9 @@ from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.keypoints.states import correlation_tables, parameter_table
-from thetacomp.models.axis_model import AxisModel, Procedure, all_sensors, clock, training_mean
+from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
 from thetacomp.models.build import build_document
+from thetacomp.models.history_model import history_procedure
 from thetacomp.models.procedures import default_procedure, paper_procedure
 from thetacomp.separation import ComponentSeparation, separate_campaign
 from thetacomp.states import AxisStates, axis_states
@@ -133,11 +134,12 @@ def _validate(
     rows: list[ValidationRow] = []
     by_state: list[HeldOutStates] = []
     for states in everything:
-        procedures: dict[str, Procedure] = {
+        procedures: dict[str, AnyProcedure] = {
             "default": procedure,
             "clock": clock,
             "one_sensor": paper,
             "all_sensors": all_sensors,
+            "heat_history": history_procedure,
         }
         if folder.campaign(states.campaigns[0]).settings.datum == "common":
             procedures["training_mean"] = training_mean

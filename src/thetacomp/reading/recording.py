@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from thetacomp.campaign import Campaign, CampaignSettings, Ints
+from thetacomp.campaign import Campaign, CampaignSettings, Duty, Ints, LeadIn, Temperatures
 from thetacomp.machine import Machine, Strict
 from thetacomp.reading import campaigns
 from thetacomp.reading.columns import Matched, Meaning, Schema, schema
@@ -209,7 +209,25 @@ def _campaign(
         return None
     tables = {section: _section(whole, section, mine) for section, names in _sections(recording).items() if names}
     place = f"{recording.file}, campaign '{entry.name}'"
-    return campaigns.build(entry.name, place, recording.settings, tables, machine, problems)
+    campaign = campaigns.build(entry.name, place, recording.settings, tables, machine, problems)
+    return None if campaign is None else replace(campaign, before=_lead_in(whole, campaign, int(mine[0])))
+
+
+def _lead_in(whole: Table, campaign: Campaign, first: int) -> LeadIn | None:
+    """The rows of the recording before the campaign, which is the heat that it starts with."""
+    if not first:
+        return None
+    t_s = whole.elapsed_s if whole.clock is None else whole.clock.micros / 1e6
+    if t_s is None:
+        return None
+    earlier_s = t_s[:first] - t_s[first]
+    sensors = campaign.temperatures.sensor_ids
+    value_degC = np.column_stack([whole.numbers[f"temperatures/{name}"][:first] for name in sensors])
+    duty = None
+    if campaign.duty is not None:
+        columns = {name: whole.numbers[f"duty/{name}"][:first] for name in campaign.duty.columns}
+        duty = Duty(earlier_s, columns)
+    return LeadIn(Temperatures(earlier_s, sensors, value_degC), duty)
 
 
 def _sections(recording: Recording) -> dict[str, dict[str, str]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from thetacomp.campaign import Floats, Ints
 from thetacomp.errors import AnalysisError
-from thetacomp.models.axis_model import AxisModel, Procedure
+from thetacomp.models.axis_model import AnyProcedure, Predictor
 from thetacomp.states import AxisStates, Samples
 from thetacomp.validation.folds import Fold
 from thetacomp.validation.result import HeldOutStates, ValidationRow
@@ -37,7 +37,7 @@ class Residuals:
 
 
 def held_out_residuals(
-    states: AxisStates, split: str, folds: Sequence[Fold], procedures: Mapping[str, Procedure]
+    states: AxisStates, split: str, folds: Sequence[Fold], procedures: Mapping[str, AnyProcedure]
 ) -> tuple[Residuals, ...]:
     """Residuals of every component and procedure over all folds; `nothing` comes first.
 
@@ -71,8 +71,8 @@ def _residuals(
     split: str,
     component: int,
     name: str,
-    fitted: Sequence[tuple[Fold, AxisModel]],
-    whole: AxisModel,
+    fitted: Sequence[tuple[Fold, Predictor]],
+    whole: Predictor,
 ) -> Residuals:
     samples, label = states.samples[component], states.components[component]
     parts = []
@@ -110,6 +110,7 @@ def _some(samples: Samples, chosen: Ints | np.ndarray) -> Samples:
         elapsed_h=samples.elapsed_h[chosen],
         rise_K=samples.rise_K[chosen],
         noise_sd_um=samples.noise_sd_um[chosen],
+        history=samples.history[chosen],
     )
 
 
