@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thetacomp.campaign import Campaign, Duty, Floats
+from thetacomp.campaign import Campaign, Duty, Floats, Temperatures
 from thetacomp.temperature.history import HistoryLayout, history_inputs
 
 SPEED = "spindle_rpm"
@@ -56,7 +56,7 @@ def history_layout(campaigns: Sequence[Campaign]) -> HistoryLayout | None:
 
 
 def history_track(campaign: Campaign, layout: HistoryLayout, reference_s: float) -> HistoryTrack:
-    """Run the filters over a campaign; they start at rest on its first sample, or on that of the recording before it."""
+    """Run the filters over a campaign; at rest on its first sample or on that of what came before."""
     parts = [(campaign.temperatures, campaign.duty)]
     if campaign.before is not None:
         parts.insert(0, (campaign.before.temperatures, campaign.before.duty))
@@ -77,3 +77,8 @@ def _speed_rpm(duty: Duty | None, t_s: Floats) -> Floats:
         return np.zeros(len(t_s))
     rows = np.clip(np.searchsorted(duty.t_s, t_s, side="right") - 1, 0, None)
     return np.nan_to_num(duty.columns[SPEED][rows])
+
+
+def _of_sensors(table: Temperatures, sensors: Sequence[str]) -> Floats:
+    """Samples of the named sensors, gaps bridged, (n, sensors)."""
+    return np.asarray(table.at(table.t_s)[:, [table.sensor_ids.index(name) for name in sensors]])
