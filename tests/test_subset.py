@@ -158,6 +158,22 @@ def test_equals_brute_force_with_collinear_doubled_and_constant_sensors(k, score
     assert found.score == pytest.approx(value, rel=1e-8)
 
 
+@pytest.mark.parametrize(("own_share", "chosen"), [(1e-10, True), (1e-13, False)])
+@pytest.mark.parametrize("score", SCORES)
+def test_a_sensor_with_next_to_nothing_of_its_own_makes_a_subset_unfit(score, own_share, chosen):
+    """The errors follow the small difference of two sensors, which explains them as long as it stands for anything."""
+    rows = problem(4, 6, q=1)
+    rng = np.random.default_rng(0)
+    spread = stacked(rows)[0][:, 0].std()
+    for x, y in rows:
+        difference = rng.normal(size=len(x))
+        x[:, 3] = x[:, 0] + own_share**0.5 * spread * difference
+        y[:, 0] = difference + 0.1 * y[:, 0] / y[:, 0].std()
+    found = best_subset(summaries(rows), 2, score=score)
+    assert (found.sensors == ("s0", "s3")) == chosen
+    assert found.proven
+
+
 @pytest.mark.parametrize("score", SCORES[1:])
 def test_a_sensor_that_is_constant_in_the_training_of_a_fold_is_never_chosen(score):
     rows = problem(3, 6)
