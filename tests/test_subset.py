@@ -13,6 +13,9 @@ from thetacomp.keypoints._subset_bounds import branch
 from thetacomp.keypoints.subset import accuracy_curve, best_subset, best_subset_per_target, selection_frequency
 from thetacomp.summary import merge, summarise
 
+# The first search on a machine compiles the kernels.
+pytestmark = pytest.mark.timeout(600)
+
 SCORES = ("residual", "held_out", "worst_campaign")
 
 
@@ -92,6 +95,55 @@ def test_equals_brute_force(seed, score):
     assert found.subsets == comb(p, k)
 
 
+@pytest.fixture
+def poor_start(monkeypatch):
+    """Start the exact search from the last k columns, so that it has to find every better subset itself."""
+
+    def last_columns(products, k, usable, best):
+        best[:] = usable[-k:]
+        return kernel.score(products, best, inf, *kernel.workspace(products, k))
+
+    monkeypatch.setattr(kernel, "local_search", last_columns)
+
+
+@pytest.mark.parametrize("score", SCORES)
+@pytest.mark.parametrize("seed", range(8))
+def test_equals_brute_force_from_a_poor_start(poor_start, seed, score):
+    k = 2 + seed % 4
+    rows = problem(200 + seed, 9, q=2, noise=0.2)
+    assert best_subset(summaries(rows), k, score=score).sensors == brute_force(rows, k, score)[0]
+
+
+def test_of_equal_subsets_found_by_two_threads_the_one_listed_first_wins(poor_start, monkeypatch):
+    monkeypatch.setattr(module.os, "cpu_count", lambda: 2)
+    rows = problem(31, 7, q=1, noise=0.1)
+    for x, y in rows:
+        x[:, 2] = x[:, 1]
+        y[:, 0] = x[:, [1, 4, 5]].sum(axis=1) + 0.1 * y[:, 0]
+    assert best_subset(summaries(rows), 3).sensors == ("s1", "s4", "s5")
+
+
+def test_closed_form_of_pairs_equals_numpy():
+    products, _ = module._products(
+        summaries(rows := problem(32, 8)), module._weights(merge(summaries(rows)), None), "residual"
+    )
+    gram, joint = products.gram, products.mixed @ products.mixed.T
+    lead, own = gram[0] / gram[0, 0], np.diag(gram) - gram[0] ** 2
+    part = joint[0] - lead * joint[0, 0]
+    joint_own = np.diag(joint) - lead * (joint[0] + part)
+    gains, after = np.empty(5), slice(3, 8)
+    first = (lead[2], part[2], own[2], joint_own[2])
+    kernel._row_gains(
+        gram[2, after], joint[2, after], gram[0, after], joint[0, after], lead[after], own[after], joint_own[after],
+        first, 0.0, gains,
+    )  # fmt: skip
+    y = products.mixed
+    for j, gain in zip(range(3, 8), gains, strict=True):
+        c = [0, 2, j]
+        explained = np.sum(y[c] * np.linalg.solve(gram[np.ix_(c, c)], y[c]))
+        assert gain + joint[0, 0] == pytest.approx(explained, rel=1e-10)
+
+
 @pytest.mark.parametrize("score", SCORES)
 @pytest.mark.parametrize("k", [1, 2, 3, 4, 5])
 def test_equals_brute_force_with_collinear_doubled_and_constant_sensors(k, score):
@@ -104,6 +156,22 @@ def test_equals_brute_force_with_collinear_doubled_and_constant_sensors(k, score
     found = best_subset(summaries(rows), k, score=score)
     assert found.sensors == sensors
     assert found.score == pytest.approx(value, rel=1e-8)
+
+
+@pytest.mark.parametrize(("own_share", "chosen"), [(1e-10, True), (1e-13, False)])
+@pytest.mark.parametrize("score", SCORES)
+def test_a_sensor_with_next_to_nothing_of_its_own_makes_a_subset_unfit(score, own_share, chosen):
+    """The errors follow the small difference of two sensors, which explains them as long as it stands for anything."""
+    rows = problem(4, 6, q=1)
+    rng = np.random.default_rng(0)
+    spread = stacked(rows)[0][:, 0].std()
+    for x, y in rows:
+        difference = rng.normal(size=len(x))
+        x[:, 3] = x[:, 0] + own_share**0.5 * spread * difference
+        y[:, 0] = difference + 0.1 * y[:, 0] / y[:, 0].std()
+    found = best_subset(summaries(rows), 2, score=score)
+    assert (found.sensors == ("s0", "s3")) == chosen
+    assert found.proven
 
 
 @pytest.mark.parametrize("score", SCORES[1:])

@@ -121,12 +121,8 @@ class SummaryBuilder:
                 return
             mean = block.mean(axis=1)
         deviation = block - mean[:, None]
-        # The mean of a block with a large offset is itself rounded: a second look removes what is left of it.
-        rest = deviation.mean(axis=1)
-        cross = deviation @ deviation.T
-        cross -= block.shape[1] * np.outer(rest, rest)
         self._count, self._mean, self._cross = _merged(
-            (self._count, self._mean, self._cross), (block.shape[1], mean + rest, cross)
+            (self._count, self._mean, self._cross), (block.shape[1], mean, deviation @ deviation.T)
         )
 
     def build(self) -> Summary:
