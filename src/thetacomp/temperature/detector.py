@@ -9,10 +9,11 @@ import numpy as np
 
 from thetacomp.campaign import Floats
 from thetacomp.errors import AnalysisError
+from thetacomp.temperature.blocks import plausible
+from thetacomp.temperature.events import Event
 from thetacomp.temperature.faults import Finding, Repair
-from thetacomp.temperature.following import Event, Follower
+from thetacomp.temperature.following import Follower
 from thetacomp.temperature.history import Healthy
-from thetacomp.temperature.screening_fit import plausible
 from thetacomp.temperature.screening_model import ScreeningModel
 
 State = Literal["believed", "repaired", "suspect", "lost", "unscreened"]

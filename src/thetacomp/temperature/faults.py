@@ -1,4 +1,4 @@
-"""What can go wrong with a thermometer: the kinds of fault, what is reported about one, and faults put in on purpose."""
+"""What can go wrong with a thermometer: kinds of fault, what is reported about one, and faults put in on purpose."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Finding:
     `start_s` is the estimated begin, `detected_s` the time of the verdict, `end_s` None where the fault lasts.
     `size_K` is the shift (jump, swapped), or the deviation from the prediction that was reached (drift, detached,
     stuck); NaN where none is known. `statistic` stands against `threshold`: the residual of the increment over
-    `window_s` in standard deviations; for stuck, saturated and missing channels both are durations in seconds, and for a spike of single samples
-    (`window_s` 0) both count in largest healthy deviations.
+    `window_s` in standard deviations; for stuck, saturated and missing channels both are durations in seconds,
+    and for a spike of single samples (`window_s` 0) both count in the deviation that 1 % of healthy samples exceed.
     `repair_u_K` is the standard deviation of a repaired value at the end of the fault. A sensor whose repair is `lost`
     has no usable value from `start_s` on: use a model without it. `unexplained` has no sensor: more sensors left their
     predictions at once than faults can explain, so the machine does what the training never showed.
@@ -51,14 +51,15 @@ class Finding:
         if timed:
             evidence = f"lasted {self.statistic:.0f} s, healthy at most {self.threshold:.0f} s"
         elif self.window_s == 0.0:
-            evidence = f"{self.statistic:.1f} times the largest healthy step, limit {self.threshold:.1f}"
+            evidence = f"{self.statistic:.1f} times the usual deviation of a sample, limit {self.threshold:.1f}"
         else:
             over = f"{self.window_s / 60:.0f} min"
             evidence = f"{self.statistic:.1f} standard deviations over {over}, limit {self.threshold:.1f}"
         mended = f"; {self.repair}"
         if self.repaired_from:
             mended += f" from {', '.join(self.repaired_from)} (u = {self.repair_u_K:.2g} K)"
-        return f"{self.sensor or 'machine'}: {self.kind}{partner}{size} at {self.start_s / 3600:.2f} h ({evidence}){mended}"
+        who = self.sensor or "machine"
+        return f"{who}: {self.kind}{partner}{size} at {self.start_s / 3600:.2f} h ({evidence}){mended}"
 
 
 def with_fault(

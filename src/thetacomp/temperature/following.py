@@ -2,47 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from thetacomp.campaign import Floats
+from thetacomp.temperature.events import Event
 from thetacomp.temperature.faults import FaultKind
 from thetacomp.temperature.history import History
 from thetacomp.temperature.screening_model import ScreeningModel
 from thetacomp.temperature.shapes import change
+from thetacomp.temperature.swaps import exchanged_with
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
 AGAIN_S = 7200.0  # a second change so soon after a step: it was no step
 SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
-
-
-@dataclass
-class Event:
-    """A fault as it is followed; block numbers, shifts in K. `end` is the block of its end, None while it lasts.
-
-    `decided` says that the kind is settled; `open` that the sensor's own reading is not used.
-    """
-
-    j: int
-    kind: FaultKind
-    onset: int
-    onset_s: float
-    detected_s: float
-    statistic: float
-    threshold: float
-    window_s: float
-    alarm: int
-    decided: bool = False
-    open: bool = True
-    end: int | None = None
-    end_s: float | None = None
-    shift_K: float = 0.0
-    offset_before_K: float = 0.0
-    size_K: float = float("nan")
-    partner: int | None = None
-    helpers: tuple[int, ...] = ()
-    returned: int = 0
 
 
 class Follower:
@@ -181,7 +153,7 @@ class Follower:
             rest = self.history.statistic(self.excluded | {j})
             return float(np.sum(rest**2))
 
-        return min(sorted(candidates), key=remaining)
+        return int(min(sorted(candidates), key=remaining))
 
     def _suspect(self, j: int, h: int, statistic: float, now: int) -> Event:
         steps = self.model.horizon_steps[h]
@@ -238,7 +210,7 @@ class Follower:
             event.kind, event.size_K = "spike", float(deviation[np.nanargmax(np.abs(deviation))])
             self._close(event, now)
             self._restore(j, now - 1)
-        elif (partner := self._partner(event)) is not None:
+        elif (partner := exchanged_with(self.history, event, self.offset_K, self.open)) is not None:
             self._swap(event, partner, now)
         elif change(residual).abrupt:
             after = deviation[event.onset - begin + 1 :]
@@ -265,32 +237,6 @@ class Follower:
     def _close(self, event: Event, end: int) -> None:
         event.open, event.end, event.end_s = False, end, self._block_time_s(end)
         del self.open[event.j]
-
-    def _partner(self, event: Event) -> int | None:
-        """The sensor whose channel now carries this one, if two were exchanged at the onset."""
-        j, begin = event.j, max(event.onset - 5, self.history.first)
-        if event.onset <= begin:
-            return None
-        before = np.nanmean(self.history.rows(begin, event.onset)[:, self.p : 2 * self.p], axis=0)
-        after = self.history.rows(event.onset + 1, self.history.count)
-        tried = []
-        for k in range(self.p):
-            if k == j or not self.model.screened[k] or (k in self.open and abs(self.open[k].onset - event.onset) > 3):
-                continue
-            apart_K = float(before[k] - before[j])
-            both = self.excluded | {j, k}
-            off = []
-            for own, other in ((j, k), (k, j)):
-                w = self.model.weights(min(1, len(self.model.horizon_s) - 1), both, own)
-                predicted = self.history.predicted(w, begin)
-                expected = before[own] + predicted[event.onset + 1 - begin :] - np.mean(predicted[: event.onset - begin])
-                # Exchanged, the channel of the other carries this sensor; unchanged, its own still does.
-                crossed = float(np.nanmean(np.abs(after[:, other] - self.offset_K[other] - expected)))
-                straight = float(np.nanmean(np.abs(after[:, own] - event.offset_before_K * (own == j) - expected)))
-                off.append((crossed, straight))
-            if max(c for c, _ in off) < 0.25 * abs(apart_K) and all(c < 0.4 * s for c, s in off):
-                tried.append((sum(c for c, _ in off), k))
-        return min(tried)[1] if tried else None
 
     def _swap(self, event: Event, k: int, now: int) -> None:
         j = event.j

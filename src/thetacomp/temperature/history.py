@@ -130,10 +130,10 @@ class History:
         now, steps = self.count - 1, self.model.horizon_steps[h]
         increment = self.inputs(now, now + 1)[0] - self.inputs(now - steps, now - steps + 1)[0]
         parts = self.model.weights(h, excluded, j) * np.nan_to_num(increment)
-        return np.abs(parts[: self.p] + parts[self.p :])
+        return np.asarray(np.abs(parts[: self.p] + parts[self.p :]))
 
     def residual(self, j: int, begin: int, excluded: frozenset[int], h: int, offset_K: float) -> Floats:
-        """Reading less shift less prediction of sensor j for the blocks from `begin` on; only its changes mean something."""
+        """Reading less shift less prediction of sensor j from block `begin` on; only its changes mean something."""
         w = self.model.weights(h, excluded | {j}, j)
         raw = self.rows(begin, self.count)[:, j]
         return np.asarray(raw - offset_K - self.predicted(w, begin))

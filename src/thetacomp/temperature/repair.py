@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats, Temperatures
-from thetacomp.temperature.following import Event
+from thetacomp.temperature.blocks import block_means, local_deviation_K, plausible
+from thetacomp.temperature.events import Event
 from thetacomp.temperature.history import BASE_BLOCKS
-from thetacomp.temperature.screening_fit import block_means, inputs, plausible
+from thetacomp.temperature.screening_fit import inputs
 from thetacomp.temperature.screening_model import ScreeningModel
 from thetacomp.temperature.shapes import change
 
-SPIKE_TIMES = 2.0
+SPIKE_TIMES = 3.0
 REBUILT = ("drift", "detached", "stuck", "saturated", "missing", "spike")
 
 
@@ -33,7 +34,7 @@ def repaired(
         elif event.kind == "jump":
             _shift(table.t_s, value, event, model.step_s)
     rebuilt = [e for e in events if e.kind in REBUILT]
-    out_of = [(table.t_s >= e.onset_s) & (table.t_s < _end_s(e, table)) for e in rebuilt]
+    out_of = [(table.t_s >= _begin_s(e, model)) & (table.t_s < _end_s(e, table)) for e in rebuilt]
     readings = value.copy()
     for event, gone in zip(rebuilt, out_of, strict=True):
         value[gone, event.j] = np.nan
@@ -43,11 +44,17 @@ def repaired(
     base = value.copy()
     for event, gone in zip(rebuilt, out_of, strict=True):
         helpers = frozenset(e.j for e, g in zip(rebuilt, out_of, strict=True) if (g & gone).any())
-        value[gone, event.j] = _rebuild(model, replace(table, value_degC=base), event, helpers, readings[:, event.j], gone)
+        known = replace(table, value_degC=base)
+        value[gone, event.j] = _rebuild(model, known, event, helpers, readings[:, event.j], gone)
     _bridge(table.t_s, value, [(e.j, g) for e, g in zip(rebuilt, out_of, strict=True)])
     with np.errstate(invalid="ignore"):
         believed = np.isfinite(table.value_degC) & (value == table.value_degC)
     return replace(table, value_degC=value), believed
+
+
+def _begin_s(event: Event, model: ScreeningModel) -> float:
+    """A fault that begins late in a block shows in the next one; a missing channel is known to the sample."""
+    return event.onset_s - (model.step_s if event.kind != "missing" and event.window_s > 0.0 else 0.0)
 
 
 def _end_s(event: Event, table: Temperatures) -> float:
@@ -55,16 +62,12 @@ def _end_s(event: Event, table: Temperatures) -> float:
 
 
 def sample_spikes(model: ScreeningModel, table: Temperatures) -> list[Event]:
-    """Single samples, or a few, that stand out of the minutes around them by more than twice what healthy ones did.
+    """Single samples, or a few, that stand out of the minutes around them; too short to move the mean of a block much.
 
-    They are too short to move the mean of a block much. The statistic counts in largest healthy deviations.
+    The statistic counts in deviations that one healthy sample in a hundred exceeds.
     """
-    half = max(2, round(model.step_s / model.sampling_s))
-    value = np.where(plausible(table.value_degC), table.value_degC, np.nan)
-    if len(value) < 2 * half + 1:
-        return []
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(value, 2 * half + 1, axis=0), axis=-1)
-    times = np.abs(value[half : len(value) - half] - middle) / np.maximum(model.gate_K, 1e-9)
+    deviation, half = local_deviation_K(table, model.step_s)
+    times = np.nan_to_num(np.abs(deviation) / np.maximum(model.spike_K, 1e-6))
     events = []
     for j in np.flatnonzero((times > SPIKE_TIMES).any(axis=0)):
         rows = np.flatnonzero(times[:, j] > SPIKE_TIMES)
@@ -75,8 +78,7 @@ def sample_spikes(model: ScreeningModel, table: Temperatures) -> list[Event]:
             events.append(
                 Event(
                     int(j), "spike", first, float(table.t_s[first]), end_s, float(times[worst, j]), SPIKE_TIMES, 0.0,
-                    alarm=first, decided=True, open=False, end=last, end_s=end_s,
-                    size_K=float(value[worst + half, j] - middle[worst, j]),
+                    alarm=first, decided=True, open=False, end=last, end_s=end_s, size_K=float(deviation[worst, j]),
                 )
             )  # fmt: skip
     return events
@@ -88,24 +90,25 @@ def _level_before(t_s: Floats, column: Floats, onset_s: float) -> float:
 
 
 def _shift(t_s: Floats, value: Floats, event: Event, step_s: float) -> None:
-    """Take the shift off; within the block of the onset each sample is judged by where it lies."""
+    """Take the shift off; within a block around the onset, known to a block, each sample is judged by where it lies."""
     column = value[:, event.j]
     end_s = np.inf if event.end_s is None else event.end_s
-    level = _level_before(t_s, column, event.onset_s)
-    for begin_s, sign in ((event.onset_s, 1.0), (end_s, -1.0)):
-        unsure = (t_s >= begin_s) & (t_s < begin_s + step_s)
-        moved = column - level > event.shift_K / 2 if event.shift_K > 0 else column - level < event.shift_K / 2
-        column[unsure & moved] -= event.shift_K if sign > 0 or np.isfinite(end_s) else 0.0
-    column[(t_s >= event.onset_s + step_s) & (t_s < end_s)] -= event.shift_K
+    level = _level_before(t_s, column, event.onset_s - step_s)
+    with np.errstate(invalid="ignore"):
+        moved = (column - level) * np.sign(event.shift_K) > abs(event.shift_K) / 2.0
+    sure = (t_s >= event.onset_s + 2.0 * step_s) & (t_s < end_s - step_s)
+    unsure = (t_s >= event.onset_s - step_s) & (t_s < end_s + 2.0 * step_s) & ~sure
+    column[sure | (unsure & moved)] -= event.shift_K
 
 
 def _exchange(t_s: Floats, value: Floats, event: Event, step_s: float) -> None:
     j, k = event.j, event.partner
-    own, other = _level_before(t_s, value[:, j], event.onset_s), _level_before(t_s, value[:, k], event.onset_s)
-    unsure = (t_s >= event.onset_s) & (t_s < event.onset_s + step_s)
+    before_s = event.onset_s - step_s
+    own, other = _level_before(t_s, value[:, j], before_s), _level_before(t_s, value[:, k], before_s)
+    unsure = (t_s >= before_s) & (t_s < event.onset_s + 2.0 * step_s)
     crossed = np.abs(value[:, j] - other) + np.abs(value[:, k] - own)
     straight = np.abs(value[:, j] - own) + np.abs(value[:, k] - other)
-    swap = (unsure & (crossed < straight)) | (t_s >= event.onset_s + step_s)
+    swap = (unsure & (crossed < straight)) | (t_s >= event.onset_s + 2.0 * step_s)
     value[swap, j], value[swap, k] = value[swap, k], value[swap, j].copy()
 
 
@@ -125,13 +128,13 @@ def _refine(model: ScreeningModel, table: Temperatures, value: Floats, event: Ev
     h = min(1, len(model.horizon_s) - 1)
     end_s = _end_s(event, table)
     residual = x[:, event.j] - phi @ model.weights(h, frozenset({event.j}), event.j)
-    before = residual[t_s < event.onset_s][-BASE_BLOCKS:]
-    after = residual[(t_s > event.onset_s + model.step_s) & (t_s < end_s)][:BASE_BLOCKS]
+    before = residual[t_s < event.onset_s - model.step_s][-BASE_BLOCKS:]
+    after = residual[(t_s > event.onset_s + 2.0 * model.step_s) & (t_s < end_s - model.step_s)][:BASE_BLOCKS]
     if np.isfinite(before).sum() >= 3 and np.isfinite(after).sum() >= 3:
         more_K = float(np.nanmean(after) - np.nanmean(before))
         # Only the noise of the first estimate is mended here; more than that would be another fault.
         if abs(more_K) < 0.25 * abs(event.shift_K):
-            on = (table.t_s >= event.onset_s + model.step_s) & (table.t_s < end_s)
+            on = np.abs(table.value_degC[:, event.j] - value[:, event.j] - event.shift_K) < 1e-9
             value[on, event.j] -= more_K
             event.shift_K += more_K
             event.size_K = event.shift_K
@@ -150,7 +153,7 @@ def _rebuild(
     t_s, x, phi = _inputs(model, table)
     predicted = phi @ model.weights(len(model.horizon_s) - 1, helpers_out | {j}, j)
     off = x[:, j] - predicted
-    before, after = off[t_s < event.onset_s][-BASE_BLOCKS:], off[t_s > end_s][:BASE_BLOCKS]
+    before, after = off[t_s < _begin_s(event, model)][-BASE_BLOCKS:], off[t_s > end_s][:BASE_BLOCKS]
     if not np.isfinite(before).any() or model.is_lost(j, min(end_s, table.t_s[-1]) - event.onset_s, helpers_out):
         return np.full(int(gone.sum()), np.nan)
     level = np.full(len(t_s), float(np.nanmean(before)))
@@ -159,7 +162,7 @@ def _rebuild(
         level += share * (float(np.nanmean(after)) - level)
     rebuilt = np.interp(table.t_s, t_s, predicted + level)
     _final_kind(event, reading, rebuilt, gone, model, table)
-    return rebuilt[gone]
+    return np.asarray(rebuilt[gone])
 
 
 def _final_kind(

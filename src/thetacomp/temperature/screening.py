@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from thetacomp.campaign import Temperatures
 from thetacomp.errors import AnalysisError
 from thetacomp.temperature.detector import Detector, Verdict, finding
+from thetacomp.temperature.events import Event
 from thetacomp.temperature.faults import Finding, with_fault
-from thetacomp.temperature.following import Event
 from thetacomp.temperature.held_labels import find_held_labels
 from thetacomp.temperature.repair import REBUILT, repaired, sample_spikes
 from thetacomp.temperature.screening_fit import fit_plain
@@ -35,6 +35,8 @@ __all__ = [
     "screen",
     "with_fault",
 ]
+
+CLEAR = 1.5
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,8 @@ def fit_screening(campaigns: Sequence[Temperatures]) -> ScreeningModel:
     for i, table in enumerate(campaigns):
         try:
             others = fit_plain([c for k, c in enumerate(campaigns) if k != i])
+            # Only what is beyond doubt is taken out: healthy extremes must stay in the calibration.
+            others = replace(others, threshold=CLEAR * others.threshold)
         except AnalysisError:
             return fit_plain(campaigns)
         cleaned.append(_healthy_part(screen(others, table)))

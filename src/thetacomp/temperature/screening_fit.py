@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats, Temperatures
 from thetacomp.errors import AnalysisError
-from thetacomp.temperature.faults import PLAUSIBLE_DEGC
+from thetacomp.temperature.blocks import block_means, largest_step_K, local_deviation_K, longest_held_s
 from thetacomp.temperature.screening_model import ScreeningModel, ridge_weights
 
 BLOCK_S = 60.0
@@ -59,11 +60,12 @@ def fit_plain(campaigns: Sequence[Temperatures]) -> ScreeningModel:
         share=np.array([h.share for h in fitted]),
         scale_K=np.array([h.scale_K for h in fitted]),
         activity_high=np.array([np.quantile(h.all_activity, 0.95) for h in fitted]),
-        threshold=np.array([_threshold(h.peaks(step_s), h.step * step_s, int(known.sum()), len(fitted)) for h in fitted]),
+        threshold=np.array([h.threshold(step_s, int(known.sum()), len(fitted)) for h in fitted]),
         elapsed_s=tuple(elapsed),
         repair_sd_K=np.array([fitted[-1].rms_after(pieces, round(e / step_s)) for e in elapsed]),
-        held_s=np.max([_longest_held_s(c) for c in campaigns], axis=0),
-        gate_K=np.max([_largest_step_K(c, step_s) for c in campaigns], axis=0),
+        held_s=np.max([longest_held_s(c) for c in campaigns], axis=0),
+        gate_K=np.max([largest_step_K(c, step_s) for c in campaigns], axis=0),
+        spike_K=np.max([_usual_deviation_K(c, step_s) for c in campaigns], axis=0),
         screened=tuple(bool(k) for k in known),
         healthy_h=healthy_h,
     )
@@ -76,29 +78,11 @@ def _layout(campaigns: Sequence[Temperatures]) -> tuple[tuple[str, ...], float, 
     ids = campaigns[0].sensor_ids
     for number, c in enumerate(campaigns, 1):
         if c.sensor_ids != ids:
-            raise AnalysisError(f"campaign {number} of the training has other sensors, or another order, than the first")
+            raise AnalysisError(f"campaign {number} of the training has other sensors, or another order, than the 1st")
         if len(c.t_s) < 3:
             raise AnalysisError(f"campaign {number} of the training has fewer than three samples")
     sampling_s = max(float(np.median(np.diff(c.t_s))) for c in campaigns)
     return ids, sampling_s, float(sampling_s * max(1.0, np.ceil(BLOCK_S / sampling_s - 1e-9)))
-
-
-def block_means(table: Temperatures, step_s: float) -> tuple[Floats, Floats]:
-    """Block end times (n,) and means (n, p) on an even grid; implausible readings count as missing."""
-    index = np.floor((table.t_s - table.t_s[0]) / step_s + 1e-6).astype(int)
-    n, p = int(index[-1]) + 1, len(table.sensor_ids)
-    value = np.where(plausible(table.value_degC), table.value_degC, np.nan)
-    total, count = np.zeros((n, p)), np.zeros((n, p))
-    np.add.at(total, index, np.nan_to_num(value))
-    np.add.at(count, index, np.isfinite(value))
-    with np.errstate(invalid="ignore"):
-        return table.t_s[0] + step_s * np.arange(1, n + 1), np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def plausible(value_degC: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Readings that a working thermometer on a machine can give."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray((value_degC > PLAUSIBLE_DEGC[0]) & (value_degC < PLAUSIBLE_DEGC[1]))
 
 
 def _pieces(blocks: list[Floats]) -> list[Floats]:
@@ -107,7 +91,7 @@ def _pieces(blocks: list[Floats]) -> list[Floats]:
     return [part for b in blocks for part in np.array_split(b, FEWEST_PIECES)]
 
 
-def inputs(blocks: Floats, known: Floats, step_s: float) -> Floats:
+def inputs(blocks: Floats, known: NDArray[np.bool_], step_s: float) -> Floats:
     """Temperatures and their lags, (n, 2p); gaps are bridged for the lag only; unknown sensors are zero."""
     x = np.where(known, blocks, 0.0)
     return np.hstack([x, lagged(x, step_s)])
@@ -127,7 +111,7 @@ def lagged(x: Floats, step_s: float) -> Floats:
     return out
 
 
-def activity(square: Floats, healthy: Floats) -> Floats:
+def activity(square: Floats, healthy: NDArray[np.bool_]) -> Floats:
     """How much the rest of the machine moves, seen from each sensor, (n, p): root mean square of scaled increments.
 
     `square` (n, p) are squared increments in units of the typical one. The sensor itself and the two that move most
@@ -157,7 +141,7 @@ class _Horizon:
         self.rows = [len(d) for d in complete]
         if not sum(self.rows):
             raise AnalysisError("no stretch of the training campaigns has all sensors read at the same time")
-        self.product = sum(self.products) / sum(self.rows)
+        self.product = np.sum(self.products, axis=0) / sum(self.rows)
         self.scale_K = np.sqrt(np.diag(self.product)[:p])
         unit = np.where(self.scale_K > 0, self.scale_K, 1.0)
         moving = self.scale_K > 0
@@ -171,7 +155,7 @@ class _Horizon:
     def held_out_weights(self, piece: int) -> Floats:
         """Weights (2p, p) fitted without one piece."""
         rest = sum(self.rows) - self.rows[piece]
-        product = (sum(self.products) - self.products[piece]) / rest if rest else self.product
+        product = (np.sum(self.products, axis=0) - self.products[piece]) / rest if rest else self.product
         return np.stack([ridge_weights(product, frozenset(), j) for j in range(self.p)], axis=1)
 
     def _spread(self, residual: Floats) -> tuple[Floats, Floats]:
@@ -197,6 +181,10 @@ class _Horizon:
             z = np.abs(r) / np.hypot(self.floor_K, self.share * a)
             found += [z[i : i + length].max(axis=0)[self.scale_K > 0] for i in range(0, len(z) - length // 2, length)]
         return np.concatenate(found) if found else np.empty(0)
+
+    def threshold(self, step_s: float, sensors: int, horizons: int) -> float:
+        """Threshold of this horizon, in standard deviations."""
+        return _threshold(self.peaks(step_s), self.step * step_s, sensors, horizons)
 
     def rms_after(self, pieces: Sequence[Floats], steps: int) -> Floats:
         """Held-out error (p,) of a sensor rebuilt from the others so many blocks after its last good value."""
@@ -225,23 +213,10 @@ def _threshold(peaks: Floats, horizon_s: float, sensors: int, horizons: int) -> 
     return max(u + mean * float(np.log(0.2 * tests * horizons / ALARMS_PER_MONTH)), LOWEST_THRESHOLD)
 
 
-def _longest_held_s(table: Temperatures) -> Floats:
-    """Longest run of exactly equal readings of each sensor (p,)."""
+def _usual_deviation_K(table: Temperatures, step_s: float) -> Floats:
+    """The deviation of a sample from the minutes around it that one in a hundred exceeds (p,)."""
+    deviation = np.abs(local_deviation_K(table, step_s)[0])
+    seen = np.isfinite(deviation).any(axis=0)
     out = np.zeros(len(table.sensor_ids))
-    for j in range(len(out)):
-        good = np.isfinite(table.value_degC[:, j])
-        t, x = table.t_s[good], table.value_degC[good, j]
-        if len(x) > 1:
-            starts = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1])
-            ends = np.concatenate([starts[1:] - 1, [len(x) - 1]])
-            out[j] = float(np.max(t[ends] - t[starts]))
+    out[seen] = np.nanquantile(deviation[:, seen], 0.99, axis=0) if len(deviation) else 0.0
     return out
-
-
-def _largest_step_K(table: Temperatures, step_s: float) -> Floats:
-    """Largest deviation of a sample from the mean of the block before (p,)."""
-    _, mean = block_means(table, step_s)
-    index = np.floor((table.t_s - table.t_s[0]) / step_s + 1e-6).astype(int)
-    later = index > 0
-    deviation = np.abs(table.value_degC[later] - mean[index[later] - 1])
-    return np.asarray(np.max(np.nan_to_num(deviation), axis=0))

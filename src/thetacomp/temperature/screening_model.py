@@ -20,6 +20,19 @@ RIDGE = 1e-3  # share of every input's own power; keeps near copies of one senso
 POWER = 2.0  # standard deviations beyond the threshold: a fault of that size is found in about 98 of 100 cases
 LOST_SHARE = 0.5  # a reconstruction worse than half of what the sensor moves at all is worth nothing
 
+ARRAYS = (
+    "product_K2",
+    "floor_K",
+    "share",
+    "scale_K",
+    "activity_high",
+    "threshold",
+    "repair_sd_K",
+    "held_s",
+    "gate_K",
+    "spike_K",
+)
+
 
 @dataclass(frozen=True)
 class DetectionLimit:
@@ -46,9 +59,11 @@ class ScreeningModel:
 
     `product_K2` (H, 2p, 2p) mean products of increments; `floor_K` and `share` (H, p) give the standard deviation of a
     held-out residual, sqrt(floor² + (share × activity)²); `scale_K` (H, p) the typical increment; `activity_high` (H,)
-    the activity exceeded 5 % of the time; `threshold` (H,) in standard deviations; `repair_sd_K` (E, p) the error of a reconstruction after `elapsed_s` (E,).
+    the activity exceeded 5 % of the time; `threshold` (H,) in standard deviations; `repair_sd_K` (E, p) the error of a
+    reconstruction after `elapsed_s` (E,).
     `held_s` (p,) is the longest healthy run of equal readings, `gate_K` (p,) the largest healthy deviation of a sample
-    from the block before. `screened` (p,) is False for a sensor without readings in training.
+    from the block before, `spike_K` (p,) the deviation from the minutes around it that one sample in a hundred exceeds.
+    `screened` (p,) is False for a sensor without readings in training.
     """
 
     sensor_ids: tuple[str, ...]
@@ -66,6 +81,7 @@ class ScreeningModel:
     repair_sd_K: Floats
     held_s: Floats
     gate_K: Floats
+    spike_K: Floats
     screened: tuple[bool, ...]
     healthy_h: float
     _weights: dict[tuple[int, frozenset[int], int], Floats] = field(
@@ -156,19 +172,17 @@ class ScreeningModel:
 
 def from_json(data: Mapping[str, Any]) -> ScreeningModel:
     """The inverse of `ScreeningModel.to_json`. AnalysisError where a part is missing or the format is another."""
-    arrays = ("product_K2", "floor_K", "share", "scale_K", "activity_high", "threshold", "repair_sd_K", "held_s", "gate_K")
     names = [name for name in ScreeningModel.__dataclass_fields__ if name != "_weights"]
     missing = [name for name in names if name not in data]
     if data.get("format") != 1 or missing:
         raise AnalysisError(
             f"not a screening model of format 1 (missing: {', '.join(missing) or 'nothing'}). Fit it again."
         )
-    values = {
-        name: np.asarray(data[name], float)
-        if name in arrays
-        else (tuple(data[name]) if isinstance(data[name], (list, tuple)) else data[name])
-        for name in names
-    }
+    values: dict[str, Any] = {name: data[name] for name in names}
+    for name in ARRAYS:
+        values[name] = np.asarray(values[name], float)
+    for name in ("sensor_ids", "horizon_s", "elapsed_s", "screened"):
+        values[name] = tuple(values[name])
     return ScreeningModel(**values)
 
 

@@ -1,0 +1,46 @@
+"""Two channels that were exchanged: both jump at once, each to where the other was expected to be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from thetacomp.campaign import Floats
+from thetacomp.temperature.events import Event
+from thetacomp.temperature.history import History
+
+BASE = 5  # blocks before the exchange that give the levels
+SAME_TIME = 3  # blocks that two onsets may lie apart
+
+
+def exchanged_with(history: History, event: Event, offset_K: Floats, opened: Mapping[int, Event]) -> int | None:
+    """The sensor whose channel now carries the one of the event, if two were exchanged at its onset; else None.
+
+    Both readings must fit the other sensor's expected course to a quarter of the distance of the two levels, and
+    clearly better than their own.
+    """
+    j, begin, p = event.j, max(event.onset - BASE, history.first), history.p
+    excluded = frozenset(opened)
+    h = min(1, len(history.model.horizon_s) - 1)
+    if event.onset <= begin or event.onset + 1 >= history.count:
+        return None
+    before = np.mean(history.rows(begin, event.onset)[:, p : 2 * p], axis=0)
+    after = history.rows(event.onset + 1, history.count)
+    tried = []
+    for k in range(p):
+        elsewhere = k in opened and abs(opened[k].onset - event.onset) > SAME_TIME
+        if k == j or not history.model.screened[k] or elsewhere or not np.isfinite(after[:, [j, k]]).any(axis=0).all():
+            continue
+        both = excluded | {j, k}
+        off = []
+        for own, other in ((j, k), (k, j)):
+            predicted = history.predicted(history.model.weights(h, both, own), begin)
+            rise = predicted[event.onset + 1 - begin :] - np.mean(predicted[: event.onset - begin])
+            expected = before[own] + rise
+            crossed = float(np.nanmean(np.abs(after[:, other] - offset_K[other] - expected)))
+            straight = float(np.nanmean(np.abs(after[:, own] - offset_K[own] - expected)))
+            off.append((crossed, straight))
+        if max(c for c, _ in off) < 0.25 * abs(before[k] - before[j]) and all(c < 0.4 * s for c, s in off):
+            tried.append((sum(c for c, _ in off), k))
+    return min(tried)[1] if tried else None
