@@ -39,6 +39,7 @@ CUTS = (0, 1951, 3871, 5791, 7711, 9631, 11115)
 TARGETS = (2, 4, 6)  # ch1, ch3, ch5
 ALLOWED = 1.5
 MODEL_SENSORS = 5
+AIR_DEGC = 20.0
 CLEARLY = 1.5  # another model has its own errors: it must promise to be that much better
 KINDS: tuple[tuple[str, str, float], ...] = (
     ("jump 2 K", "jump", 2.0),
@@ -153,15 +154,18 @@ def fitted(records: Sequence[Record], sensors: list[int]) -> Fitted:
 
 
 def inject(record: Record, j: int, kind: str, size: float, start_s: float, sign: float) -> tuple[Temperatures, float]:
-    """The faulty table, and the difference of the two levels for a swap."""
+    """The faulty table, and the difference of the two levels for a swap or the final deviation of a lost contact."""
     table = record.temperatures
     p = len(table.sensor_ids)
     sensor, partner = table.sensor_ids[j], table.sensor_ids[j + 1 if j + 1 < p else j - 1]
     at = int(np.searchsorted(table.t_s, start_s))
     apart = abs(float(np.diff(table.value_degC[max(at - 10, 0) : at, [j, j + 1 if j + 1 < p else j - 1]].mean(0))[0]))
+    if kind == "detached":
+        apart = min(size, 0.9 * abs(float(table.value_degC[at, j]) - AIR_DEGC))
     return (
         with_fault(
             table, sensor, kind, start_s,  # type: ignore[arg-type]
+            air_degC=AIR_DEGC,
             size_K=sign * size if kind == "jump" else size,
             rate_K_per_h=sign * size,
             partner=partner,
@@ -182,7 +186,7 @@ def is_above(
     if kind == "drift":
         return size >= limit.drift_K_per_h and left_s >= limit.drift_within_s
     if kind == "detached":
-        return size >= limit.detached_transient_K
+        return apart >= limit.detached_transient_K
     if kind == "swapped":
         other = limits[table.sensor_ids[j + 1 if j + 1 < len(table.sensor_ids) else j - 1]]
         return apart >= max(limit.jump_transient_K, other.jump_transient_K)

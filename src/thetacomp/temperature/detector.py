@@ -67,6 +67,7 @@ class Detector:
         self.model = model
         self.p = len(model.sensor_ids)
         self.follower = Follower(model)
+        self._screened = np.array(model.screened)
         self._gate_K = 2.0 * model.gate_K + 1e-9
         self._block = _Block.empty(self.p)
         self._number = 0
@@ -149,7 +150,7 @@ class Detector:
         mended = (follower.offset_K != 0.0) | (follower.source != np.arange(self.p))
         states: list[State] = ["repaired" if m else "believed" for m in mended]
         last = history.rows(history.count - 1, history.count)[0, self.p : 2 * self.p] if history.count else None
-        for j in range(self.p):
+        for j in np.flatnonzero(~usable | ~self._screened).tolist() + list(follower.open):
             event = follower.open.get(j)
             if not self.model.screened[j]:
                 states[j] = "unscreened"

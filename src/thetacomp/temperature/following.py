@@ -35,6 +35,8 @@ class Follower:
         self._confirm = max(2, round(CONFIRM_S / model.step_s))
         self._most_at_once = max(2, self.p // 3)
         self._time_s = 0.0
+        self._read_s = np.inf
+        self._at_pause: tuple[Floats, Floats] | None = None
 
     @property
     def excluded(self) -> frozenset[int]:
@@ -52,9 +54,12 @@ class Follower:
         if not np.isfinite(raw[screened]).any():
             self._hold(now)
             return []
+        pause_s = time_s - self._read_s - self.model.step_s
+        self._read_s = time_s
         before = {id(e): (e.decided, e.end) for e in self.events}
         self._silent(now, raw, held_s)
         self._fill(now, raw)
+        self._resume(now, pause_s)
         self._alarms(now)
         for event in list(self.open.values()):
             if self.open.get(event.j) is not event:
@@ -75,9 +80,24 @@ class Follower:
     def _hold(self, now: int) -> None:
         """No sensor was read: a pause of the logger, not a fault of sensors. The last values are kept."""
         if now > self.history.first:
+            if self._at_pause is None:
+                self._at_pause = self.history.state(now - 1)
             for j in range(self.p):
                 value = self.history.rows(now - 1, now)[0, self.p + j]
                 self.history.set_clean(now, j, float(value))
+
+    def _resume(self, now: int, pause_s: float) -> None:
+        """After a pause the lags are what a straight course through it would have left.
+
+        First-order response to a ramp: lag(T) = x(T) - s τ + (lag(0) - x(0) + s τ) exp(-T / τ), s the slope.
+        """
+        if self._at_pause is None:
+            return
+        (x0, lag0), (x1, _), tau_s = self._at_pause, self.history.state(now), self.model.lag_s
+        duration_s = pause_s + self.model.step_s
+        behind = (x1 - x0) / duration_s * tau_s
+        self.history.set_lag(now, x1 - behind + (lag0 - x0 + behind) * np.exp(-duration_s / tau_s))
+        self._at_pause = None
 
     def _new(self, j: int, kind: FaultKind, onset: int, statistic: float, limit: float, window_s: float) -> Event:
         onset = max(onset, self.history.first)
@@ -158,7 +178,7 @@ class Follower:
     def _suspect(self, j: int, h: int, statistic: float, now: int) -> Event:
         steps = self.model.horizon_steps[h]
         begin = max(self.history.first, self.history.start, now - steps - 10)
-        residual = self.history.residual(j, begin, self.excluded, h, float(self.offset_K[j]))
+        residual = self.history.residual(j, begin, self.excluded, h, now, float(self.offset_K[j]))
         found = change(residual)
         onset = begin + found.onset
         if not found.abrupt:
@@ -183,6 +203,10 @@ class Follower:
             del self.open[event.j]
             self.events.remove(event)
             self._restore(event.j, event.onset)
+        before = self.history.state(max(first - 1, self.history.first))
+        now = self.history.count - 1
+        # A step of the operation is no step of the heat stored: the lags keep their distance.
+        self.history.set_lag(now, self.history.state(now)[0] + before[1] - before[0])
         h, j = np.unravel_index(int(np.argmax(np.abs(z) / self.model.threshold[:, None])), z.shape)
         self.events.append(
             Event(
@@ -197,7 +221,7 @@ class Follower:
         """Enough was seen since the alarm: stuck, spike, swap, step, or a slow departure."""
         j, h = event.j, min(1, len(self.model.horizon_s) - 1)
         begin = max(self.history.first, self.history.start, event.onset - 15)
-        residual = self.history.residual(j, begin, self.excluded, h, event.offset_before_K)
+        residual = self.history.residual(j, begin, self.excluded, h, event.onset, event.offset_before_K)
         before = residual[: max(event.onset - begin, 1)]
         deviation = residual - (np.nanmean(before) if np.isfinite(before).any() else np.nan)
         latest = float(np.nanmean(deviation[-2:])) if np.isfinite(deviation[-2:]).any() else np.nan

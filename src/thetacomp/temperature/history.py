@@ -30,7 +30,8 @@ class History:
         self._screened = np.array(model.screened)
         self._known = np.concatenate([self._screened, self._screened])
         self._gain = float(-np.expm1(-model.step_s / model.lag_s))
-        self._stacks: dict[tuple[int, frozenset[int]], tuple[Floats, Floats]] = {}
+        self._unit_K = np.where(model.scale_K > 0, model.scale_K, 1.0)
+        self._stacks: dict[frozenset[int], tuple[Floats, Floats]] = {}
 
     @property
     def first(self) -> int:
@@ -64,6 +65,16 @@ class History:
         row[self.p : 2 * self.p][healthy] = value[healthy]
         row[2 * self.p :][healthy] = (before + self._gain * (value - before))[healthy]
 
+    def state(self, block: int) -> tuple[Floats, Floats]:
+        """Believed values and lags (p,) of a block, copied."""
+        row = self.rows(block, block + 1)[0]
+        return row[self.p : 2 * self.p].copy(), row[2 * self.p :].copy()
+
+    def set_lag(self, block: int, lag: Floats) -> None:
+        """Set the lags (p,) of a block where they are known better; missing ones stay."""
+        row = self.rows(block, block + 1)[0, 2 * self.p :]
+        row[:] = np.where(np.isfinite(lag), lag, row)
+
     def set_clean(self, block: int, j: int, value: float) -> None:
         """Set a believed value and its lag, from the lag of the block before."""
         row = self.rows(block, block + 1)[0]
@@ -94,36 +105,34 @@ class History:
         used = weights != 0.0
         return np.asarray(self.inputs(begin, self.count)[:, used] @ weights[used])
 
-    def stack(self, h: int, excluded: frozenset[int]) -> tuple[Floats, Floats]:
-        """Weights (p, 2p) of all sensors at horizon number h, and the growth of their residuals (p,)."""
-        key = (h, excluded)
-        if key not in self._stacks:
-            if len(self._stacks) > 500:
+    def stack(self, excluded: frozenset[int]) -> tuple[Floats, Floats]:
+        """Weights (H, p, 2p) of all sensors at all horizons, and the growth of their residuals (H, p)."""
+        if excluded not in self._stacks:
+            if len(self._stacks) > 200:
                 self._stacks.clear()
-            self._stacks[key] = (
-                np.array([self.model.weights(h, excluded, j) for j in range(self.p)]),
-                np.array([self.model.inflation(h, excluded, j) for j in range(self.p)]),
+            horizons, sensors = range(len(self.model.horizon_s)), range(self.p)
+            self._stacks[excluded] = (
+                np.array([[self.model.weights(h, excluded, j) for j in sensors] for h in horizons]),
+                np.array([[self.model.inflation(h, excluded, j) for j in sensors] for h in horizons]),
             )
-        return self._stacks[key]
+        return self._stacks[excluded]
 
     def statistic(self, excluded: frozenset[int]) -> Floats:
         """Residuals of the newest increments in standard deviations (H, p); 0 where none can be told."""
         m, p, now = self.model, self.p, self.count - 1
-        z = np.zeros((len(m.horizon_s), p))
         healthy = self._screened.copy()
         healthy[list(excluded)] = False
         newest = self.inputs(now, now + 1)[0]
+        increment = np.zeros((len(m.horizon_s), 2 * p))
         for h, steps in enumerate(m.horizon_steps):
-            if now - steps < max(self.start, self.first):
-                continue
-            increment = newest - self.inputs(now - steps, now - steps + 1)[0]
-            increment[~np.isfinite(increment)] = 0.0
-            weights, growth = self.stack(h, excluded)
-            unit = np.where(m.scale_K[h] > 0, m.scale_K[h], 1.0)
-            moved = activity(((increment[:p] / unit) ** 2)[None, :], healthy)[0]
-            sd = np.hypot(m.floor_K[h], m.share[h] * moved) * growth
-            z[h, healthy] = ((increment[:p] - weights @ increment) / sd)[healthy]
-        return z
+            if now - steps >= max(self.start, self.first):
+                increment[h] = newest - self.inputs(now - steps, now - steps + 1)[0]
+        increment[~np.isfinite(increment)] = 0.0
+        weights, growth = self.stack(excluded)
+        moved = activity((increment[:, :p] / self._unit_K) ** 2, healthy)
+        sd = np.hypot(m.floor_K, m.share * moved) * growth
+        residual = increment[:, :p] - (weights @ increment[:, :, None])[:, :, 0]
+        return np.where(healthy, residual / sd, 0.0)
 
     def contributions(self, h: int, j: int, excluded: frozenset[int]) -> Floats:
         """How much each sensor (p,) moves the prediction of sensor j in the newest increment, K."""
@@ -132,8 +141,14 @@ class History:
         parts = self.model.weights(h, excluded, j) * np.nan_to_num(increment)
         return np.asarray(np.abs(parts[: self.p] + parts[self.p :]))
 
-    def residual(self, j: int, begin: int, excluded: frozenset[int], h: int, offset_K: float) -> Floats:
-        """Reading less shift less prediction of sensor j from block `begin` on; only its changes mean something."""
-        w = self.model.weights(h, excluded | {j}, j)
-        raw = self.rows(begin, self.count)[:, j]
-        return np.asarray(raw - offset_K - self.predicted(w, begin))
+    def residual(self, j: int, begin: int, excluded: frozenset[int], h: int, since: int, offset_K: float) -> Floats:
+        """Reading less prediction of sensor j from block `begin` on; only its changes mean something.
+
+        Before block `since` the believed values count, which earlier repairs have made continuous; from there on the
+        raw ones less the shift.
+        """
+        rows = self.rows(begin, self.count)
+        reading = rows[:, self.p + j].copy()
+        late = max(since - begin, 0)
+        reading[late:] = rows[late:, j] - offset_K
+        return np.asarray(reading - self.predicted(self.model.weights(h, excluded | {j}, j), begin))

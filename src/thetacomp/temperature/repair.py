@@ -66,6 +66,8 @@ def sample_spikes(model: ScreeningModel, table: Temperatures) -> list[Event]:
 
     The statistic counts in deviations that one healthy sample in a hundred exceeds.
     """
+    if not 0.67 < float(np.median(np.diff(table.t_s))) / model.sampling_s < 1.5:
+        return []  # the usual deviation holds for the sampling it was learnt at
     deviation, half = local_deviation_K(table, model.step_s)
     times = np.nan_to_num(np.abs(deviation) / np.maximum(model.spike_K, 1e-6))
     events = []
@@ -184,7 +186,11 @@ def _final_kind(
         held = float(reading[gone][read][-1])
         level = float(np.nanmedian(deviation))
         rest = reading[np.isfinite(reading)]
-        if (held >= rest.max() and level < 0) or (held <= rest.min() and level > 0):
+        # Only a channel that came back shows that it was at its limit and not dead while the machine warmed up.
+        near_K = float(model.spike_K[event.j])
+        if event.end is not None and (
+            (held >= rest.max() - near_K and level < 0) or (held <= rest.min() + near_K and level > 0)
+        ):
             event.kind = "saturated"
         event.size_K = float(deviation[read][np.argmax(np.abs(deviation[read]))])
 
