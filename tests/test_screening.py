@@ -7,6 +7,9 @@ model states it. The synthetic machine is `thermal_network`: its parameters are 
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -112,10 +115,13 @@ def test_a_stuck_channel_and_one_at_its_limit() -> None:
     assert (found.sensor, found.kind) == (SENSOR, "stuck")
     assert found.start_s == pytest.approx(START_S, abs=120.0)
     assert found.statistic > found.threshold  # both in seconds
-    warm = column(healthy())
-    first = int(np.argmax(warm > warm.max() - 0.5))
-    cut = with_fault(healthy(), SENSOR, "saturated", float(healthy().t_s[first]))
-    assert "saturated" in {f.kind for f in screen(model(), cut).findings}
+    warm = column(healthy(), "theta_5")  # rises above 70 % of its range, and falls back below it later
+    first = int(np.argmax(warm > warm.min() + 0.7 * np.ptp(warm)))
+    cut = with_fault(healthy(), "theta_5", "saturated", float(healthy().t_s[first]))
+    at_limit = [f for f in screen(model(), cut).findings if f.kind == "saturated"]
+    assert at_limit
+    assert at_limit[0].sensor == "theta_5"
+    assert at_limit[0].size_K == pytest.approx(warm[first] - warm.max(), abs=1.0)
 
 
 def test_swapped_channels_are_exchanged_back() -> None:
@@ -266,6 +272,16 @@ def test_real_recording(shared_data: Path) -> None:
         ]
         assert (jump.sensor, jump.kind) == (sensor, "jump")
         assert jump.size_K == pytest.approx(31.0, abs=0.1)
+
+
+def test_screening_runs_without_the_analysis_libraries() -> None:
+    code = (
+        "import sys, thetacomp.temperature.screening\n"
+        "assert not {'scipy', 'pandas', 'sklearn', 'matplotlib'} & set(sys.modules)"
+    )
+    subprocess.run(
+        [sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    )
 
 
 def test_held_labels() -> None:

@@ -8,9 +8,9 @@ from thetacomp.campaign import Floats
 from thetacomp.temperature.events import Event
 from thetacomp.temperature.faults import FaultKind
 from thetacomp.temperature.history import History
+from thetacomp.temperature.isolation import culprit, exchanged_with
 from thetacomp.temperature.screening_model import ScreeningModel
 from thetacomp.temperature.shapes import change
-from thetacomp.temperature.swaps import exchanged_with
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
 AGAIN_S = 7200.0  # a second change so soon after a step: it was no step
@@ -156,24 +156,9 @@ class Follower:
             if waiting >= self._most_at_once:
                 self._unexplained(z)
                 return
-            j = self._culprit(z)
+            j = culprit(self.history, z, self.excluded)
             h = int(np.argmax(relative[:, j]))
             self._suspect(j, h, float(np.abs(z[h, j])), now)
-
-    def _culprit(self, z: Floats) -> int:
-        """The sensor without which the remaining residuals are smallest; a fault also spoils what it predicts."""
-        relative = np.abs(z) / self.model.threshold[:, None]
-        size = np.max(relative, axis=0)
-        h, worst = np.unravel_index(int(np.argmax(relative)), z.shape)
-        helping = self.history.contributions(int(h), int(worst), self.excluded)
-        candidates = {*np.argsort(-size)[:5].tolist(), *np.argsort(-helping)[:4].tolist()} - self.excluded
-        candidates = {j for j in candidates if self.model.screened[j]}
-
-        def remaining(j: int) -> float:
-            rest = self.history.statistic(self.excluded | {j})
-            return float(np.sum(rest**2))
-
-        return int(min(sorted(candidates), key=remaining))
 
     def _suspect(self, j: int, h: int, statistic: float, now: int) -> Event:
         steps = self.model.horizon_steps[h]

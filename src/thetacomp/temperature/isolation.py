@@ -1,4 +1,4 @@
-"""Two channels that were exchanged: both jump at once, each to where the other was expected to be."""
+"""Whose fault it is: one sensor that spoils the predictions of others, or two channels that were exchanged."""
 
 from __future__ import annotations
 
@@ -44,3 +44,20 @@ def exchanged_with(history: History, event: Event, offset_K: Floats, opened: Map
         if max(c for c, _ in off) < 0.25 * abs(before[k] - before[j]) and all(c < 0.4 * s for c, s in off):
             tried.append((sum(c for c, _ in off), k))
     return min(tried)[1] if tried else None
+
+
+def culprit(history: History, statistic: Floats, excluded: frozenset[int]) -> int:
+    """The sensor without which the remaining residuals are smallest; a fault also spoils what it predicts.
+
+    `statistic` (H, p) are the residuals in standard deviations that raised the alarm. Tried are the sensors with the
+    largest ones, and those that move the prediction of the worst one most.
+    """
+    relative = np.abs(statistic) / history.model.threshold[:, None]
+    h, worst = np.unravel_index(int(np.argmax(relative)), relative.shape)
+    helping = history.contributions(int(h), int(worst), excluded)
+    candidates = {*np.argsort(-np.max(relative, axis=0))[:5].tolist(), *np.argsort(-helping)[:4].tolist()} - excluded
+
+    def remaining(j: int) -> float:
+        return float(np.sum(history.statistic(excluded | {j}) ** 2))
+
+    return int(min(sorted(j for j in candidates if history.model.screened[j]), key=remaining))
