@@ -26,7 +26,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from thermal_network import network, operate  # noqa: E402
 from thetacomp.campaign import Floats, Temperatures  # noqa: E402
-from thetacomp.temperature.screening import (  # noqa: E402
+from thetacomp.screening import (  # noqa: E402
     Detector,
     ScreeningModel,
     fit_screening,

@@ -21,7 +21,7 @@ import pytest
 from thermal_network import network, operate
 from thetacomp.campaign import Floats, Temperatures
 from thetacomp.errors import AnalysisError
-from thetacomp.temperature.screening import (
+from thetacomp.screening import (
     Detector,
     ScreeningModel,
     find_held_labels,
@@ -275,10 +275,7 @@ def test_real_recording(shared_data: Path) -> None:
 
 
 def test_screening_runs_without_the_analysis_libraries() -> None:
-    code = (
-        "import sys, thetacomp.temperature.screening\n"
-        "assert not {'scipy', 'pandas', 'sklearn', 'matplotlib'} & set(sys.modules)"
-    )
+    code = "import sys, thetacomp.screening\nassert not {'scipy', 'pandas', 'sklearn', 'matplotlib'} & set(sys.modules)"
     subprocess.run(
         [sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     )

@@ -9,12 +9,12 @@ import numpy as np
 
 from thetacomp.campaign import Floats
 from thetacomp.errors import AnalysisError
-from thetacomp.temperature.blocks import plausible
-from thetacomp.temperature.events import Event
-from thetacomp.temperature.faults import Finding, Repair
-from thetacomp.temperature.following import Follower
-from thetacomp.temperature.history import Healthy
-from thetacomp.temperature.screening_model import ScreeningModel
+from thetacomp.screening.blocks import plausible
+from thetacomp.screening.events import Event
+from thetacomp.screening.faults import Finding, Repair
+from thetacomp.screening.following import Follower
+from thetacomp.screening.model import ScreeningModel
+from thetacomp.screening.window import Healthy
 
 State = Literal["believed", "repaired", "suspect", "lost", "unscreened"]
 PAUSE_BLOCKS = 3  # a longer pause of the whole logger starts the windows anew

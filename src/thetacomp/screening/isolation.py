@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from thetacomp.campaign import Floats
-from thetacomp.temperature.events import Event
-from thetacomp.temperature.history import History
+from thetacomp.screening.events import Event
+from thetacomp.screening.window import History
 
 BASE = 5  # blocks before the exchange that give the levels
 SAME_TIME = 3  # blocks that two onsets may lie apart

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from thetacomp.temperature.faults import FaultKind
+from thetacomp.screening.faults import FaultKind
 
 
 @dataclass

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats
-from thetacomp.temperature.screening_fit import activity
-from thetacomp.temperature.screening_model import ScreeningModel
+from thetacomp.screening.fit import activity
+from thetacomp.screening.model import ScreeningModel
 
 Healthy = NDArray[np.bool_]
 BASE_BLOCKS = 10  # blocks averaged for the last good value

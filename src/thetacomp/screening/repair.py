@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats, Temperatures
-from thetacomp.temperature.blocks import block_means, local_deviation_K, plausible
-from thetacomp.temperature.events import Event
-from thetacomp.temperature.history import BASE_BLOCKS
-from thetacomp.temperature.screening_fit import inputs
-from thetacomp.temperature.screening_model import ScreeningModel
-from thetacomp.temperature.shapes import change
+from thetacomp.screening.blocks import block_means, local_deviation_K, plausible
+from thetacomp.screening.events import Event
+from thetacomp.screening.fit import inputs
+from thetacomp.screening.model import ScreeningModel
+from thetacomp.screening.shapes import change
+from thetacomp.screening.window import BASE_BLOCKS
 
 SPIKE_TIMES = 3.0
 REBUILT = ("drift", "detached", "stuck", "saturated", "missing", "spike")

@@ -14,27 +14,12 @@ from numpy.typing import NDArray
 
 from thetacomp.campaign import Temperatures
 from thetacomp.errors import AnalysisError
-from thetacomp.temperature.detector import Detector, Verdict, finding
-from thetacomp.temperature.events import Event
-from thetacomp.temperature.faults import Finding, with_fault
-from thetacomp.temperature.held_labels import find_held_labels
-from thetacomp.temperature.repair import REBUILT, repaired, sample_spikes
-from thetacomp.temperature.screening_fit import fit_plain
-from thetacomp.temperature.screening_model import DetectionLimit, ScreeningModel, from_json
-
-__all__ = [
-    "DetectionLimit",
-    "Detector",
-    "Finding",
-    "Screening",
-    "ScreeningModel",
-    "Verdict",
-    "find_held_labels",
-    "fit_screening",
-    "from_json",
-    "screen",
-    "with_fault",
-]
+from thetacomp.screening.detector import Detector, finding
+from thetacomp.screening.events import Event
+from thetacomp.screening.faults import Finding
+from thetacomp.screening.fit import fit_plain
+from thetacomp.screening.model import DetectionLimit, ScreeningModel
+from thetacomp.screening.repair import REBUILT, repaired, sample_spikes
 
 CLEAR = 1.5
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from thetacomp.campaign import Floats
-from thetacomp.temperature.events import Event
-from thetacomp.temperature.faults import FaultKind
-from thetacomp.temperature.history import History
-from thetacomp.temperature.isolation import culprit, exchanged_with
-from thetacomp.temperature.screening_model import ScreeningModel
-from thetacomp.temperature.shapes import change
+from thetacomp.screening.events import Event
+from thetacomp.screening.faults import FaultKind
+from thetacomp.screening.isolation import culprit, exchanged_with
+from thetacomp.screening.model import ScreeningModel
+from thetacomp.screening.shapes import change
+from thetacomp.screening.window import History
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
 AGAIN_S = 7200.0  # a second change so soon after a step: it was no step

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats, Temperatures
 from thetacomp.errors import AnalysisError
-from thetacomp.temperature.blocks import block_means, largest_step_K, local_deviation_K, longest_held_s
-from thetacomp.temperature.screening_model import ScreeningModel, ridge_weights
+from thetacomp.screening.blocks import block_means, largest_step_K, local_deviation_K, longest_held_s
+from thetacomp.screening.model import ScreeningModel, ridge_weights
 
 BLOCK_S = 60.0
 LAG_S = 600.0

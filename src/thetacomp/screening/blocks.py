@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats, Temperatures
-from thetacomp.temperature.faults import PLAUSIBLE_DEGC
+from thetacomp.screening.faults import PLAUSIBLE_DEGC
 
 CHUNK = 5000
 
