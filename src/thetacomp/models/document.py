@@ -42,9 +42,9 @@ class Component(Strict):
     `intercept` is in µm, `slope` in µm/m; `slope`, `axis` and the positions are absent for drift at a fixed position.
     `residual_correlation` is that between the residuals of intercept and slope; `residual_um` holds the RMS and the
     maximum of what remains over the travel on the training states (in-sample); `held_out_um` the RMS, 95th percentile
-    and maximum on data that the same procedure had not seen, None where nothing could be held out. Both terms share `inputs` and `dof`.
-    `through_zero` says that the fit was forced through zero at the reference, where the error is zero by definition;
-    the constants are then exactly zero.
+    and maximum on data that the same procedure had not seen, None where nothing could be held out. Both terms share
+    `inputs` and `dof`. `through_zero` says that the fit was forced through zero at the reference, where the error is
+    zero by definition; the constants are then exactly zero.
     """
 
     direction: Literal["X", "Y", "Z"]
