@@ -19,8 +19,9 @@ from thetacomp.errors import AnalysisError
 
 INTRODUCTION = """\
 The machine: a TK6920 floor-type boring and milling machine, measured with a laser tracker while it warmed up.
-The numbers: the published tables of Cui, Gao and Yao (2012), slope and intercept of 18 thermal error curves over time.
-Three campaigns (X, Y, W) with one temperature each. Copied to {folder}: look there for the format.
+The numbers: the published tables of Cui, Gao and Yao (2012), slope and intercept of nine error components over time.
+Three campaigns (X, Y, W) with one temperature each, so there no sensor is left to choose.
+Copied to {folder}: look there for the format.
 """
 
 CLOSING = """\
