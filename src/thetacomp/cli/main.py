@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
+from thetacomp.cli import twin
 
 app = typer.Typer(
     name="thetacomp",
@@ -30,6 +31,8 @@ def _options(
     ] = False,
 ) -> None:
     """Options of the command as a whole."""
+
+app.command("twin")(twin.twin)
 
 
 if __name__ == "__main__":

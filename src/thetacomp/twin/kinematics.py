@@ -41,6 +41,19 @@ class Stations:
     point_moves: bool
     rows: int
 
+    @property
+    def end(self) -> int:
+        """One past the last row."""
+        return self.rows + 6 * len(self.position_m)
+
+    def shares(self, position_mm: Floats) -> Floats:
+        """Weights (n, stations) of the stations at n positions: a cubic spline through them."""
+        return np.asarray(CubicSpline(self.position_m, np.eye(len(self.position_m)))(position_mm * 1e-3))
+
+    def interpolate(self, outputs: Floats, position_mm: Floats) -> Floats:
+        """Pose L - U (n, 6) at n positions from this axis' outputs (n, 6 * stations)."""
+        return np.einsum("ns,nsi->ni", self.shares(position_mm), outputs.reshape(len(outputs), -1, 6))
+
 
 @dataclass(frozen=True)
 class ToolMap:
@@ -55,29 +68,37 @@ class ToolMap:
         """Number of output rows."""
         return self.nose_rows + 6
 
-    def weights(self, positions_mm: Mapping[str, Floats], tool_length_mm: Floats | float) -> Floats:
-        """Rows (n, 6, size) that turn the outputs into tool displacement (m) and rotation (rad).
+    def levers_m(
+        self, positions_mm: Mapping[str, Floats], tool_length_mm: Floats | float
+    ) -> tuple[Floats, dict[str, Floats], Floats]:
+        """Tool point (n, 3), lever from each axis' reference point to it (n, 3), and lever from the spindle nose.
 
         `positions_mm` holds n commanded positions of every axis; the tool sticks out along -Z.
         """
-        n = len(next(iter(positions_mm.values())))
         travel = {s.axis: s.direction * (positions_mm[s.axis][:, None] * 1e-3) for s in self.stations}
-        tool = self.nose_m + sum(travel.values()) + np.zeros((n, 3))
-        tool[:, 2] -= np.broadcast_to(np.asarray(tool_length_mm, dtype=float) * 1e-3, (n,))
-        out = np.zeros((n, 6, self.size))
-        below = np.zeros((n, 3))
+        nose = self.nose_m + np.sum(list(travel.values()), axis=0)
+        tool = nose.copy()
+        tool[:, 2] -= np.broadcast_to(np.asarray(tool_length_mm, dtype=float) * 1e-3, (len(tool),))
+        below, levers = np.zeros_like(tool), {}
         for s in self.stations:
-            point = s.point_m + below + (travel[s.axis] if s.point_moves else 0.0)
-            share = CubicSpline(s.position_m, np.eye(len(s.position_m)))(positions_mm[s.axis] * 1e-3)
-            carry = _carry(tool - point)
+            levers[s.axis] = tool - (s.point_m + below + (travel[s.axis] if s.point_moves else 0.0))
+            below = below + travel[s.axis]
+        return tool, levers, tool - nose
+
+    def weights(self, positions_mm: Mapping[str, Floats], tool_length_mm: Floats | float) -> Floats:
+        """Rows (n, 6, size) that turn the outputs into tool displacement (m) and rotation (rad)."""
+        tool, levers, from_nose = self.levers_m(positions_mm, tool_length_mm)
+        out = np.zeros((len(tool), 6, self.size))
+        for s in self.stations:
+            share = s.shares(positions_mm[s.axis])
+            carry = carry_pose(levers[s.axis])
             for k in range(len(s.position_m)):
                 out[:, :, s.rows + 6 * k : s.rows + 6 * k + 6] += share[:, k, None, None] * carry
-            below = below + travel[s.axis]
-        out[:, :, self.nose_rows :] += _carry(tool - (self.nose_m + below))
+        out[:, :, self.nose_rows :] += carry_pose(from_nose)
         return out
 
 
-def _carry(lever_m: Floats) -> Floats:
+def carry_pose(lever_m: Floats) -> Floats:
     """(n, 6, 6) matrices that carry a pose over a lever: u + r x lever, r."""
     n = len(lever_m)
     out = np.tile(np.eye(6), (n, 1, 1))
@@ -89,23 +110,21 @@ def _carry(lever_m: Floats) -> Floats:
     return out
 
 
-@dataclass(frozen=True)
-class _Body:
-    mesh: BodyMesh
-    solved: Supported
+def support_bodies(description: Description, elastic: Mapping[str, ElasticBody]) -> dict[str, Supported]:
+    """Stand the bodies with feet on the ground's springs and hold the others statically."""
+    grounds = [p for p in description.patches if p.name in description.ground]
+    springs = description.ground_stiffness_N_per_mm3 * 1e9, description.ground_shear_N_per_mm3 * 1e9
+    out = {}
+    for name, body in elastic.items():
+        pads = [patch_weights(body.mesh, p) for p in grounds if p.body == name]
+        out[name] = support_on_springs(body, pads, *springs) if pads else support_statically(body)
+    return out
 
 
 def tool_rows(
-    description: Description, elastic: Mapping[str, ElasticBody], system: ThermalSystem
+    description: Description, bodies: Mapping[str, Supported], system: ThermalSystem
 ) -> tuple[ToolMap, Floats]:
     """The tool map and its output matrix (size, states): poses per K of every temperature in the machine."""
-    grounds = [p for p in description.patches if p.name in description.ground]
-    bodies: dict[str, _Body] = {}
-    for name, body in elastic.items():
-        pads = [patch_weights(body.mesh, p) for p in grounds if p.body == name]
-        springs = description.ground_stiffness_N_per_mm3 * 1e9, description.ground_shear_N_per_mm3 * 1e9
-        solved = support_on_springs(body, pads, *springs) if pads else support_statically(body)
-        bodies[name] = _Body(body.mesh, solved)
     stations, blocks, row = [], [], 0
     for axis in description.axes:
         station, block = _axis_rows(description, axis, bodies, system, row)
@@ -117,7 +136,7 @@ def tool_rows(
 
 
 def _axis_rows(
-    description: Description, axis: TwinAxis, bodies: Mapping[str, _Body], system: ThermalSystem, row: int
+    description: Description, axis: TwinAxis, bodies: Mapping[str, Supported], system: ThermalSystem, row: int
 ) -> tuple[Stations, Floats]:
     patches = {p.name: p for p in description.patches}
     along, e = AXES.index(axis.cartesian), axis.sign * _DIRECTIONS[AXES.index(axis.cartesian)]
@@ -128,27 +147,27 @@ def _axis_rows(
     point0 = np.mean([_centre(p) for p in short], axis=0)
     head0 = _centre(patches[axis.measuring.head])
     moves = axis.long_guide == "lower"
-    datum = patch_weights(lower.mesh, patches[axis.measuring.datum])
-    nut = patch_weights(upper.mesh, patches[axis.measuring.head])
+    datum = patch_weights(lower.body.mesh, patches[axis.measuring.datum])
+    nut = patch_weights(upper.body.mesh, patches[axis.measuring.head])
     # The short guide stays where it is in its own body; the long one is met at every station anew.
     if moves:
-        guides = [_windows(lower.mesh, lower_pads, short, along, (e * p)[along]) for p in position]
+        guides = [_windows(lower.body.mesh, lower_pads, short, along, (e * p)[along]) for p in position]
         below = [_raw_pose(lower, g, point0 + e * p, along, datum, axis.name) for g, p in zip(guides, position, strict=True)]
-        above = [_raw_pose(upper, [patch_weights(upper.mesh, u) for u in upper_pads], point0, along, nut, axis.name)]
+        above = [_raw_pose(upper, [patch_weights(upper.body.mesh, u) for u in upper_pads], point0, along, nut, axis.name)]
     else:
-        feet = [_windows(upper.mesh, upper_pads, short, along, -(e * p)[along]) for p in position]
-        below = [_raw_pose(lower, [patch_weights(lower.mesh, u) for u in lower_pads], point0, along, datum, axis.name)]
+        feet = [_windows(upper.body.mesh, upper_pads, short, along, -(e * p)[along]) for p in position]
+        below = [_raw_pose(lower, [patch_weights(lower.body.mesh, u) for u in lower_pads], point0, along, datum, axis.name)]
         above = [_raw_pose(upper, f, point0 - e * p, along, nut, axis.name) for f, p in zip(feet, position, strict=True)]
     # The lever from the pads' point to the reading head, in machine directions.
     levers = [head0 - point0 if moves else head0 + e * p - point0 for p in position]
     block = np.zeros((6 * len(position), system.states))
     for forms, body, name, sign in ((below, lower, axis.lower, 1.0), (above, upper, axis.upper, -1.0)):
-        raw = body.solved.outputs(sp.csr_matrix(sp.vstack(forms)))
+        raw = body.outputs(sp.csr_matrix(sp.vstack(forms)))
         columns = slice(system.offset[name], system.offset[name] + system.size[name])
         for k, lever in enumerate(levers):
             pose = raw[6 * k : 6 * k + 6].copy() if len(forms) > 1 else raw.copy()
             # The rigid motion takes the head along with the mark: u_along = mark - (r x lever)_along.
-            pose[along] -= _carry(lever[None])[0][along, 3:] @ pose[3:]
+            pose[along] -= carry_pose(lever[None])[0][along, 3:] @ pose[3:]
             block[6 * k : 6 * k + 6, columns] += sign * pose
     rod = next(r for r in description.rods if r.name == axis.measuring.rod)
     for k, p in enumerate(position):
@@ -158,17 +177,17 @@ def _axis_rows(
 
 
 def _nose_rows(
-    description: Description, bodies: Mapping[str, _Body], system: ThermalSystem
+    description: Description, bodies: Mapping[str, Supported], system: ThermalSystem
 ) -> tuple[Floats, Floats]:
     patch = next(p for p in description.patches if p.name == description.nose)
     body = bodies[patch.body]
-    weights = patch_weights(body.mesh, patch)
+    weights = patch_weights(body.body.mesh, patch)
     rod = next(r for r in description.rods if r.name == description.spindle)
     nose = np.array(rod.to_mm) * 1e-3
     form = _vector_pose(body, weights, nose)
     block = np.zeros((6, system.states))
     columns = slice(system.offset[patch.body], system.offset[patch.body] + system.size[patch.body])
-    block[:, columns] = body.solved.outputs(form)
+    block[:, columns] = body.outputs(form)
     along = rod_axis(rod)
     block[along, system.offset[rod.name] + np.arange(rod.segments)] += rod_growth(description, rod, nose[along])
     return nose, block
@@ -213,17 +232,17 @@ def _windows(
 
 
 def _raw_pose(
-    body: _Body, pads: Sequence[NodeWeights], point_m: Floats, along: int, mark: NodeWeights, axis: str
+    body: Supported, pads: Sequence[NodeWeights], point_m: Floats, along: int, mark: NodeWeights, axis: str
 ) -> sp.csr_matrix:
     """Functionals (6, dofs) of the rigid motion that fits the pads' normal displacement best.
 
     Pads only push along their normals, so motion along the axis is open; its row holds the mean displacement of
     the mark (scale datum or head) instead. Raises AnalysisError where the pads leave another motion open.
     """
-    elastic = body.solved.body
+    elastic = body.body
     design, weight, dofs, sign = [], [], [], []
     for pad in pads:
-        lever = body.mesh.points_m[pad.nodes] - point_m
+        lever = elastic.mesh.points_m[pad.nodes] - point_m
         normal = np.broadcast_to(pad.normal, lever.shape)
         direction = int(np.argmax(np.abs(pad.normal)))
         design.append(np.concatenate([normal, np.cross(lever, normal)], axis=1))
@@ -246,11 +265,11 @@ def _raw_pose(
     return sp.csr_matrix(rows)
 
 
-def _vector_pose(body: _Body, weights: NodeWeights, point_m: Floats) -> sp.csr_matrix:
+def _vector_pose(body: Supported, weights: NodeWeights, point_m: Floats) -> sp.csr_matrix:
     """Functionals (6, dofs) of the rigid motion that fits all displacements of a face best."""
-    elastic = body.solved.body
-    lever = body.mesh.points_m[weights.nodes] - point_m
-    carry = _carry(lever)[:, :3, :]  # (n, 3, 6)
+    elastic = body.body
+    lever = elastic.mesh.points_m[weights.nodes] - point_m
+    carry = carry_pose(lever)[:, :3, :]  # (n, 3, 6)
     w = weights.weight_m2
     normal_matrix = np.einsum("n,nij,nik->jk", w, carry, carry)
     fit = np.linalg.solve(normal_matrix, np.einsum("n,nij->jni", w, carry).reshape(6, -1))

@@ -24,11 +24,15 @@ _DEPENDENT = 1e-7  # directions this small against the largest of their block ad
 
 @dataclass(frozen=True)
 class ReducedModel:
-    """Modes with `rate_per_s` (r,), `source` (r, inputs) and outputs `rows` (outputs, r): y = rows z."""
+    """Modes with `rate_per_s` (r,), `source` (r, inputs) and outputs `rows` (outputs, r): y = rows z.
+
+    `shapes` (states, r) are the modes themselves: all temperatures of the full model are about shapes z.
+    """
 
     rate_per_s: Floats
     source: Floats
     rows: Floats
+    shapes: Floats
     inputs: tuple[str, ...]
 
     def step(self, step_s: float) -> tuple[Floats, Floats]:
@@ -72,7 +76,7 @@ def reduce_system(system: ThermalSystem, rows: Floats) -> ReducedModel:
     small_c = basis.T @ (system.capacity @ basis)
     rate, modes = eigh(0.5 * (small_k + small_k.T), 0.5 * (small_c + small_c.T))
     shapes = basis @ modes
-    return ReducedModel(rate, shapes.T @ system.source, rows @ shapes, system.inputs)
+    return ReducedModel(rate, shapes.T @ system.source, rows @ shapes, shapes, system.inputs)
 
 
 def _new_directions(system: ThermalSystem, basis: Floats, block: Floats) -> Floats:

@@ -12,12 +12,12 @@ from thetacomp.twin.description import Description
 from thetacomp.twin.mesh import BodyMesh, Floats, mesh_body
 
 try:
-    from thetacomp.twin.elastic import ElasticBody, assemble, scalar_spaces
+    from thetacomp.twin.elastic import Supported, assemble, scalar_spaces
 except ImportError:
     raise AnalysisError(
         "the virtual machine needs scikit-fem, which is not installed. Fix: pip install 'thetacomp[twin]'"
     ) from None
-from thetacomp.twin.kinematics import ToolMap, tool_rows
+from thetacomp.twin.kinematics import ToolMap, carry_pose, support_bodies, tool_rows
 from thetacomp.twin.reduced import ReducedModel, reduce_system
 from thetacomp.twin.thermal import ThermalSystem, assemble_machine, sensor_rows
 
@@ -32,7 +32,7 @@ class VirtualMachine:
 
     description: Description
     meshes: Mapping[str, BodyMesh]
-    elastic: Mapping[str, ElasticBody]
+    bodies: Mapping[str, Supported]
     system: ThermalSystem
     tool: ToolMap
     rows: Floats
@@ -62,6 +62,32 @@ class VirtualMachine:
         weights = self.tool.weights(positions_mm, tool_length_mm)
         return np.asarray(np.einsum("nij,nj->ni", weights, poses) * 1e6)
 
+    def displacement_m(self, rise_K: Floats, positions_mm: Mapping[str, float]) -> dict[str, Floats]:
+        """Displacement of every node of every body, (nodes, 3), for all temperatures (states,) at one position.
+
+        The bodies' own deformation by elasticity, each carried by the guides below it.
+        """
+        at = {name: np.array([value]) for name, value in positions_mm.items()}
+        poses = self.rows[self.tool_rows] @ rise_K
+        rigid, point = np.zeros(6), np.zeros(3)  # motion so far, about the machine's origin
+        first = self.description.axes[0].lower
+        out = {first: self.bodies[first].displacement(self._own(first, rise_K))}
+        travelled = np.zeros(3)
+        for station, axis in zip(self.tool.stations, self.description.axes, strict=True):
+            shift = station.direction * positions_mm[axis.name] * 1e-3
+            point = station.point_m + travelled + (shift if station.point_moves else 0.0)
+            travelled = travelled + shift
+            here = station.interpolate(poses[None, station.rows : station.end], at[axis.name])[0]
+            rigid = rigid + carry_pose(-point[None])[0] @ here
+            where = self.meshes[axis.upper].points_m + travelled
+            carried = (carry_pose(where) @ rigid)[:, :3]
+            out[axis.upper] = self.bodies[axis.upper].displacement(self._own(axis.upper, rise_K)) + carried
+        return out
+
+    def _own(self, body: str, rise_K: Floats) -> Floats:
+        start = self.system.offset[body]
+        return rise_K[start : start + self.system.size[body]]
+
 
 def build(description: Description, refinement: float = 1.0) -> VirtualMachine:
     """Mesh, assemble, solve and reduce. About 15 s on one core for the presets.
@@ -73,11 +99,12 @@ def build(description: Description, refinement: float = 1.0) -> VirtualMachine:
     elastic = {b.name: assemble(meshes[b.name], description.materials[b.material], spaces[b.name])
                for b in description.bodies}  # fmt: skip
     system = assemble_machine(description, meshes, spaces)
-    tool, poses = tool_rows(description, elastic, system)
+    bodies = support_bodies(description, elastic)
+    tool, poses = tool_rows(description, bodies, system)
     films = dict.fromkeys(s.bearing.film for s in description.sources if s.bearing is not None)
     feedback = tuple(dict.fromkeys([*films, description.cooling.lump]))
     acting = np.zeros((len(feedback), system.states))
     for row, name in zip(acting, feedback, strict=True):
         row[system.offset[name]] = 1.0
     rows = np.concatenate([sensor_rows(description, meshes, system), acting, poses])
-    return VirtualMachine(description, meshes, elastic, system, tool, rows, reduce_system(system, rows), feedback)
+    return VirtualMachine(description, meshes, bodies, system, tool, rows, reduce_system(system, rows), feedback)
