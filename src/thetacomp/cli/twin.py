@@ -27,8 +27,9 @@ def _work(out: Path, preset: str, seed: int, campaigns: int) -> Outcome:
     from thetacomp.twin.description import load_description
     from thetacomp.twin.picture import draw_machine
     from thetacomp.twin.virtual import build
-    from thetacomp.twin.writer import truth_folder, write_twin
+    from thetacomp.twin.writer import refuse_filled, truth_folder, write_twin
 
+    refuse_filled(out)
     conditions = load_conditions(preset)
     machine = build(load_description(conditions.machine))
     made = make_twin(machine, conditions, seed)

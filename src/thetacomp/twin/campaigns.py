@@ -109,9 +109,11 @@ def plan_campaigns(twin: Twin, count: int) -> tuple[Plan, ...]:
         rng = np.random.default_rng([twin.seed, 1, k])
         day = conditions.work.first_day + round(k * conditions.work.spacing_days)
         chilled = rng.random() < conditions.work.chiller
-        chiller = ("on" if chilled else "off") if not conditions.work.chiller_change else (
-            "on, later off" if chilled else "off, later on"
-        )  # fmt: skip
+        chiller = (
+            ("on" if chilled else "off")
+            if not conditions.work.chiller_change
+            else ("on, later off" if chilled else "off, later on")
+        )
         name = (NEW_YEAR + timedelta(days=day)).isoformat()
         plans.append(Plan(k, name, day, "paper" if k == 0 else "random", chiller))
     return tuple(plans)
@@ -198,7 +200,9 @@ def _timetable(
         middle = 0.5 * (axis.travel_mm[0] + axis.travel_mm[1])
         positions[axis.name] = np.where(moving == a, table[:, 4], middle)
     cold = np.arange(len(table)) < cold_points
-    result = _Timetable(table[:, 0], moving, table[:, 2].astype(np.int64), table[:, 3].astype(np.int64), positions, cold)
+    result = _Timetable(
+        table[:, 0], moving, table[:, 2].astype(np.int64), table[:, 3].astype(np.int64), positions, cold
+    )
     return result, duty.with_chiller(work, _chiller(plan, len(work.on), rng))
 
 
@@ -229,7 +233,7 @@ def _live(
     before = duty.weeks(rng, DAYS_BEFORE, names, conditions.work, first_weekday=int(rng.integers(0, 7)))
     night = duty.idle(START_HOUR * 60, names)
     whole = duty.join([before, night, work])
-    t_s = np.arange(len(whole.on)) * STEP_S
+    t_s = STEP_S * np.arange(float(len(whole.on)))
     reference = machine.description.reference_degC
     air, floor = hall_inputs(conditions.hall, rng, t_s, plan.day - DAYS_BEFORE, whole.on, reference)
     start_air = air[:1440].mean(axis=0)

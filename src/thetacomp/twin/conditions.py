@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from thetacomp.errors import InputError, Problem
 from thetacomp.machine import Strict
+from thetacomp.twin.files import load_toml
 
 PRESETS = ("standard", "hard")
 NotNegative = Annotated[float, Field(ge=0)]
@@ -125,28 +123,6 @@ class Conditions(Strict):
     geometry: Geometry
 
 
-def load_conditions(preset_or_path: str | Path) -> Conditions:
+def load_conditions(name_or_path: str | Path) -> Conditions:
     """Read a preset ("standard", "hard") or a TOML file. Raises InputError with everything that is wrong in it."""
-    name = str(preset_or_path)
-    if name in PRESETS:
-        text = resources.files("thetacomp.twin").joinpath("presets", f"{name}.toml").read_text(encoding="utf-8")
-    else:
-        try:
-            text = Path(preset_or_path).read_text(encoding="utf-8")
-        except (FileNotFoundError, IsADirectoryError):
-            raise InputError([
-                Problem("error", "preset", name, "no preset and no file of that name.",
-                        f"use one of {', '.join(PRESETS)} or the path of a TOML file.")  # fmt: skip
-            ]) from None  # fmt: skip
-        except UnicodeDecodeError:
-            raise InputError([Problem("error", "text", name, "not UTF-8 text.", "save it as UTF-8.")]) from None
-    try:
-        return Conditions.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as exc:
-        raise InputError([Problem("error", "toml", name, f"not valid TOML: {exc}.", "correct that line.")]) from None
-    except ValidationError as exc:
-        raise InputError([
-            Problem("error", "value", name, f"{'.'.join(str(p) for p in e['loc']) or 'file'}: {e['msg']}.",
-                    "compare with the bundled presets standard and hard.")  # fmt: skip
-            for e in exc.errors()
-        ]) from None  # fmt: skip
+    return load_toml(Conditions, name_or_path, PRESETS)

@@ -6,15 +6,13 @@ Every body is described where it stands when all its axes read zero.
 
 from __future__ import annotations
 
-import tomllib
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from thetacomp.errors import InputError, Problem
 from thetacomp.machine import Axis, HeatSource, Sensor, SensorRole, Strict
+from thetacomp.twin.files import load_toml
 
 Point = tuple[float, float, float]
 Normal = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z", "any"]
@@ -285,28 +283,15 @@ class Description(Strict):
 
     def machine_sensors(self) -> tuple[Sensor, ...]:
         """The sensors as machine.toml has them."""
-        return tuple(Sensor(id=s.id, location=s.location, role=s.role, axis=s.axis, at_mm=s.at_mm) for s in self.sensors)
+        return tuple(
+            Sensor(id=s.id, location=s.location, role=s.role, axis=s.axis, at_mm=s.at_mm) for s in self.sensors
+        )
 
     def machine_heat_sources(self) -> tuple[HeatSource, ...]:
         """The heat sources as machine.toml has them."""
         return tuple(HeatSource(name=s.name, sensor=s.sensor, axis=s.axis) for s in self.sources)
 
 
-def load_description(preset_or_path: str | Path) -> Description:
+def load_description(name_or_path: str | Path) -> Description:
     """Read a bundled machine ("tk6920") or a TOML file. Raises InputError with everything that is wrong in it."""
-    name = str(preset_or_path)
-    if name in MACHINES:
-        text = resources.files("thetacomp.twin").joinpath("presets", f"{name}.toml").read_text(encoding="utf-8")
-    else:
-        text = Path(preset_or_path).read_text(encoding="utf-8")
-    try:
-        return Description.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as exc:
-        raise InputError([Problem("error", "toml", name, f"not valid TOML: {exc}.", "correct that line.")]) from None
-    except ValidationError as exc:
-        problems = [
-            Problem("error", "value", name, f"{'.'.join(str(p) for p in e['loc']) or 'file'}: {e['msg']}.",
-                    "compare with the bundled machine tk6920.toml.")  # fmt: skip
-            for e in exc.errors()
-        ]
-        raise InputError(problems) from None
+    return load_toml(Description, name_or_path, MACHINES)

@@ -40,7 +40,9 @@ def random_shift(rng: np.random.Generator, n: int, axes: Sequence[str], limits: 
     return Work(np.ones(n), rpm, feed, np.zeros(n))
 
 
-def weeks(rng: np.random.Generator, days: int, axes: Sequence[str], limits: conditions.Work, first_weekday: int = 0) -> Work:
+def weeks(
+    rng: np.random.Generator, days: int, axes: Sequence[str], limits: conditions.Work, first_weekday: int = 0
+) -> Work:
     """`days` whole days from midnight: two shifts on weekdays, some Saturdays, Sundays off (0 is Monday)."""
     parts = [_day(rng, axes, limits, (first_weekday + d) % 7) for d in range(days)]
     return join(parts)
@@ -52,9 +54,7 @@ def _day(rng: np.random.Generator, axes: Sequence[str], limits: conditions.Work,
         return idle(MINUTES_A_DAY, axes)
     begin = 360 + int(rng.integers(-15, 16))
     end = (1320 if weekday < 5 and rng.random() < 0.7 else 840) + int(rng.integers(-30, 31))
-    return join([
-        idle(begin, axes), random_shift(rng, end - begin, axes, limits), idle(MINUTES_A_DAY - end, axes)
-    ])  # fmt: skip
+    return join([idle(begin, axes), random_shift(rng, end - begin, axes, limits), idle(MINUTES_A_DAY - end, axes)])
 
 
 def join(parts: Sequence[Work]) -> Work:

@@ -90,9 +90,7 @@ def assemble(mesh: BodyMesh, material: Material, spaces: Scalar | None = None) -
     young = material.young_GPa * 1e9
     lame = young * material.poisson / ((1 + material.poisson) * (1 - 2 * material.poisson))
     shear = young / (2 * (1 + material.poisson))
-    part = {
-        (a, b): _gradient_form(a, b).assemble(spaces.quadratic) for a in range(3) for b in range(a, 3)
-    }
+    part = {(a, b): _gradient_form(a, b).assemble(spaces.quadratic) for a in range(3) for b in range(a, 3)}
     laplace = part[0, 0] + part[1, 1] + part[2, 2]
     rows: list[list[Any]] = []
     for a in range(3):
@@ -117,7 +115,7 @@ class Supported:
 
     def displacement(self, rise_K: Floats) -> Floats:
         """Displacement of every mesh node in m, (nodes, 3), for nodal temperatures above the reference."""
-        moved = self._solve(self.body.load @ rise_K)
+        moved = self.under_force(self.body.load @ rise_K)
         return np.stack([moved[self.body.vertex_dofs(a)] for a in range(3)], axis=1)
 
     def outputs(self, functionals: sp.csr_matrix) -> Floats:
@@ -126,9 +124,10 @@ class Supported:
         By reciprocity one solve an output is enough: q = c K⁻¹ F T = (K⁻¹ cᵀ)ᵀ F T.
         """
         forces = np.asarray(functionals.todense()).T
-        return np.asarray((self.body.load.T @ self._solve(forces)).T)
+        return np.asarray((self.body.load.T @ self.under_force(forces)).T)
 
-    def _solve(self, force: Floats) -> Floats:
+    def under_force(self, force: Floats) -> Floats:
+        """Displacement of every dof in m, (dofs,) or (dofs, cases), under nodal forces in N."""
         out = np.zeros(force.shape)
         out[self.free] = self.factor.solve(np.ascontiguousarray(force[self.free]))
         return out

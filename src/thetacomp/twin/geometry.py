@@ -77,8 +77,13 @@ def draw_geometry(rng: np.random.Generator, axes: tuple[Axis, ...], settings: Ge
         reversal[AXES.index(axis.cartesian)] = settings.reversal_um * rng.uniform(0.5, 1.5)
         items.append(
             AxisGeometry(
-                axis, wave, rng.uniform(0, 2 * np.pi, (6, _WAVES)), settings.periodic_um * rng.uniform(0.5, 1.5),
-                settings.periodic_mm[axis.name], rng.uniform(0, 2 * np.pi), reversal,
-            )  # fmt: skip
+                axis,
+                wave,
+                rng.uniform(0, 2 * np.pi, (6, _WAVES)),
+                settings.periodic_um * rng.uniform(0.5, 1.5),
+                settings.periodic_mm[axis.name],
+                rng.uniform(0, 2 * np.pi),
+                reversal,
+            )
         )
     return MachineGeometry(tuple(items), rng.normal(size=3) * settings.squareness_urad)

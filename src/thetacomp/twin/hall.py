@@ -38,19 +38,25 @@ def hall_inputs(
     season = yearly_degC(hall, day)
     hour = 2 * np.pi * (t_s / DAY_S - 15.0 / 24.0)  # warmest at three in the afternoon
     weather = random_process(rng, n, hall.weather_sd_K, hall.weather_time_h * 3600, step)
-    phase = 2 * np.pi * np.cumsum(
-        step / (hall.cycling_period_min * 60) * np.exp(random_process(rng, n, 0.15, 7200.0, step))
+    phase = (
+        2
+        * np.pi
+        * np.cumsum(step / (hall.cycling_period_min * 60) * np.exp(random_process(rng, n, 0.15, 7200.0, step)))
     )
     # A thermostat's saw: quick rise, slow fall.
     cycling = hall.cycling_amplitude_K * (2 * (phase / (2 * np.pi) % 1.0) ** 0.6 - 1.25)
     level = season + hall.daily_amplitude_K * np.cos(hour) + weather + cycling
     heated = np.clip((18.0 - season) / 6.0, 0.0, 1.0)
     gradient = [random_process(rng, n, hall.gradient_sd_K_per_m, hall.gradient_time_h * 3600, step) for _ in range(3)]
-    vertical = hall.stratification_K_per_m + heated * (
-        hall.stratification_heated_K_per_m - hall.stratification_K_per_m
-    )
+    vertical = hall.stratification_K_per_m + heated * (hall.stratification_heated_K_per_m - hall.stratification_K_per_m)
     sun = hall.sun_K_per_m * np.clip(np.cos(hour), 0.0, None)
-    air = [level - reference_degC, vertical + gradient[0], gradient[1] + sun, gradient[2], _draughts(hall, rng, step, working)]
+    air = [
+        level - reference_degC,
+        vertical + gradient[0],
+        gradient[1] + sun,
+        gradient[2],
+        _draughts(hall, rng, step, working),
+    ]
     # A slab is a low-pass: it follows the year, damped and late, and hardly the week.
     floor_year = yearly_degC(hall, day - hall.floor_delay_days)
     mean = 0.5 * (hall.summer_degC + hall.winter_degC)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from thetacomp.twin.conditions import Pt100, Tracker
@@ -91,7 +92,7 @@ def read_sensors(
     return t_s, np.where(lost, np.nan, out)
 
 
-def _break(rng: np.random.Generator, reading: Floats, broken: np.ndarray, fault: Fault) -> None:
+def _break(rng: np.random.Generator, reading: Floats, broken: NDArray[np.bool_], fault: Fault) -> None:
     if not broken.any():
         return
     if fault.kind == "jump":
@@ -155,10 +156,10 @@ def fit_frame(tool_m: Floats, error_um: Floats) -> Floats:
     """
     design = frame_design(tool_m)
     good = np.isfinite(error_um).all(axis=1)
-    fit = np.zeros(6)
+    fit: Floats = np.zeros(6)
     for _ in range(3):
         rows = np.repeat(good, 3)
-        fit = np.linalg.lstsq(design[rows], error_um.ravel()[rows], rcond=None)[0]
+        fit = np.asarray(np.linalg.lstsq(design[rows], error_um.ravel()[rows], rcond=None)[0])
         rest = np.linalg.norm(error_um - (design @ fit).reshape(-1, 3), axis=1)
         good = np.isfinite(rest) & (rest < 4 * 1.4826 * np.nanmedian(rest))
     return fit

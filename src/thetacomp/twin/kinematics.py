@@ -52,7 +52,7 @@ class Stations:
 
     def interpolate(self, outputs: Floats, position_mm: Floats) -> Floats:
         """Pose L - U (n, 6) at n positions from this axis' outputs (n, 6 * stations)."""
-        return np.einsum("ns,nsi->ni", self.shares(position_mm), outputs.reshape(len(outputs), -1, 6))
+        return np.asarray(np.einsum("ns,nsi->ni", self.shares(position_mm), outputs.reshape(len(outputs), -1, 6)))
 
 
 @dataclass(frozen=True)
@@ -152,12 +152,20 @@ def _axis_rows(
     # The short guide stays where it is in its own body; the long one is met at every station anew.
     if moves:
         guides = [_windows(lower.body.mesh, lower_pads, short, along, (e * p)[along]) for p in position]
-        below = [_raw_pose(lower, g, point0 + e * p, along, datum, axis.name) for g, p in zip(guides, position, strict=True)]
-        above = [_raw_pose(upper, [patch_weights(upper.body.mesh, u) for u in upper_pads], point0, along, nut, axis.name)]
+        below = [
+            _raw_pose(lower, g, point0 + e * p, along, datum, axis.name) for g, p in zip(guides, position, strict=True)
+        ]
+        above = [
+            _raw_pose(upper, [patch_weights(upper.body.mesh, u) for u in upper_pads], point0, along, nut, axis.name)
+        ]
     else:
         feet = [_windows(upper.body.mesh, upper_pads, short, along, -(e * p)[along]) for p in position]
-        below = [_raw_pose(lower, [patch_weights(lower.body.mesh, u) for u in lower_pads], point0, along, datum, axis.name)]
-        above = [_raw_pose(upper, f, point0 - e * p, along, nut, axis.name) for f, p in zip(feet, position, strict=True)]
+        below = [
+            _raw_pose(lower, [patch_weights(lower.body.mesh, u) for u in lower_pads], point0, along, datum, axis.name)
+        ]
+        above = [
+            _raw_pose(upper, f, point0 - e * p, along, nut, axis.name) for f, p in zip(feet, position, strict=True)
+        ]
     # The lever from the pads' point to the reading head, in machine directions.
     levers = [head0 - point0 if moves else head0 + e * p - point0 for p in position]
     block = np.zeros((6 * len(position), system.states))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,9 +74,7 @@ def mesh_body(body: Body, refinement: float = 1.0) -> BodyMesh:
         raise AnalysisError(f"body {body.name}: no material is left after the cuts. Fix: check its blocks and cuts.")
     shape = tuple(len(p) for p in planes)
     i, j, k = (index[solid] for index in np.unravel_index(np.arange(len(middle)), tuple(n - 1 for n in shape)))
-    corner = [
-        np.ravel_multi_index((i + a, j + b, k + c), shape) for c in (0, 1) for b in (0, 1) for a in (0, 1)
-    ]
+    corner = [np.ravel_multi_index((i + a, j + b, k + c), shape) for c in (0, 1) for b in (0, 1) for a in (0, 1)]
     used, cells = np.unique(np.stack(corner, axis=1), return_inverse=True)
     grid = np.stack(np.meshgrid(*planes, indexing="ij"), axis=-1).reshape(-1, 3)[used] * 1e-3
     cells = cells.reshape(-1, 8).astype(np.int64)
@@ -118,10 +117,7 @@ def _grid_planes(body: Body, axis: int, element_mm: float) -> Floats:
     for cut in body.cuts:
         marks += [cut.from_mm[axis], cut.to_mm[axis]]
     planes = np.unique(np.round(marks, 3))
-    pieces = [
-        np.linspace(a, b, int(np.ceil((b - a) / element_mm - 1e-9)) + 1)[:-1]
-        for a, b in zip(planes[:-1], planes[1:], strict=True)
-    ]
+    pieces = [np.linspace(a, b, int(np.ceil((b - a) / element_mm - 1e-9)) + 1)[:-1] for a, b in pairwise(planes)]
     return np.concatenate([*pieces, planes[-1:]])
 
 
@@ -197,7 +193,7 @@ def face_weights(mesh: BodyMesh, lo_m: Floats, hi_m: Floats, normal: str = "any"
     total = np.bincount(position.ravel(), weights=weight.ravel(), minlength=len(nodes))
     touched = total > 1e-15
     mean_normal = f_n[0] if len(f_n) else np.zeros(3)
-    return NodeWeights(nodes[touched], total[touched], mean_normal)
+    return NodeWeights(nodes[touched].astype(np.int64), total[touched].astype(np.float64), mean_normal)
 
 
 def patch_weights(mesh: BodyMesh, patch: Patch) -> NodeWeights:

@@ -76,7 +76,9 @@ def viscosity_mm2_per_s(oil: Oil, temperature_degC: Floats) -> Floats:
     return np.asarray(oil.nu40_mm2_per_s * np.exp(-oil.falloff_per_K * (np.clip(temperature_degC, 5.0, 70.0) - 40.0)))
 
 
-def known_inputs(description: Description, names: tuple[str, ...], work: Work, air_K: Floats, floor_K: Floats) -> Floats:
+def known_inputs(
+    description: Description, names: tuple[str, ...], work: Work, air_K: Floats, floor_K: Floats
+) -> Floats:
     """Inputs (n, inputs) that do not depend on temperature."""
     inputs = np.zeros((len(work.on), len(names)))
     for source in description.sources:
@@ -143,5 +145,5 @@ def _history(
     reference = machine.description.reference_degC
     places = np.array([s.at_mm for s in machine.description.sensors]) * 1e-3
     air = np.concatenate([air_K[:1], air_K]) @ air_pattern(machine.description.air, places).T + reference
-    t_s = np.arange(len(sensors)) * STEP_S
-    return History(t_s, sensors + reference, air, t_s[:: keep][: len(states)], states, end)
+    t_s = STEP_S * np.arange(float(len(sensors)))
+    return History(t_s, sensors + reference, air, t_s[::keep][: len(states)], states, end)

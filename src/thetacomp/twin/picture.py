@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from thetacomp.twin.virtual import VirtualMachine
 
 _SPLIT = 4  # each element face is painted as so many squares a side, for smooth colours
 _EDGE_IN_FRONT_M = 0.02
+_LARGEST_DRAWN_M = 0.6  # the largest displacement on the picture
 # The eye stands in front of the machine on the headstock's side, somewhat above it.
 _EYE = np.array([-0.62, 0.42, -0.66])
 _LIGHT = np.array([-0.35, 0.85, -0.4])
@@ -32,7 +34,9 @@ def draw_machine(machine: VirtualMachine, record: Record, path: Path) -> None:
     states = [history.states[int(np.argmin(np.abs(history.kept_s - t)))] for t in (record.begin_s, warm_s)]
     cold, warm = (machine.reduced.shapes @ state for state in states)
     positions = {name: float(np.median(p[truth.axis == -1])) for name, p in truth.positions_mm.items()}
-    title = f"{machine.description.name}, {record.plan.name}: {(warm_s - record.begin_s) / 3600:.1f} h after the cold start"
+    title = (
+        f"{machine.description.name}, {record.plan.name}: {(warm_s - record.begin_s) / 3600:.1f} h after the cold start"
+    )
     draw_state(machine, warm, warm - cold, positions, title, path)
 
 
@@ -42,31 +46,52 @@ def draw_state(
     """Draw temperatures (states,) above the reference, and the displacement that a change of temperatures makes."""
     moved = machine.displacement_m(change_K, positions_mm)
     largest_m = max(float(np.linalg.norm(u, axis=1).max()) for u in moved.values())
-    exaggeration = _round_figure(0.6 / largest_m) if largest_m > 0 else 1.0
+    exaggeration = _round_figure(_LARGEST_DRAWN_M / largest_m) if largest_m > 0 else 1.0
     right, up, towards = _camera()
     view = np.stack([right, up], axis=1)
-    quads, depth, warmth, shade, edges, ghosts = [], [], [], [], [], []
+    scenes = []
     for name, where in _places(machine, positions_mm).items():
-        mesh = machine.meshes[name]
-        bent = where + exaggeration * moved[name]
         start = machine.system.offset[name]
-        kelvin = rise_K[start : start + machine.system.size[name]]
-        faces = _visible(mesh, towards)
-        patch, heat = _subdivide(bent, kelvin, faces)
-        quads.append(patch @ view)
-        depth.append(patch.mean(axis=1) @ towards)
-        warmth.append(heat + machine.description.reference_degC)
-        light = 0.72 + 0.28 * np.clip(mesh.faces.normal[_shown(mesh, towards)] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
-        shade.append(np.repeat(light, _SPLIT**2))
-        creases = _creases(mesh, faces)
-        s = np.linspace(0.0, 1.0, _SPLIT + 1)[:, None, None]
-        line = bent[creases[:, 0]] * (1 - s) + bent[creases[:, 1]] * s
-        pieces = np.stack([line[:-1].reshape(-1, 3), line[1:].reshape(-1, 3)], axis=1)
-        edges.append((pieces @ view, pieces.mean(axis=1) @ towards))
-        ghosts.append(where[creases] @ view)
-    _paint(quads, depth, warmth, shade, edges, ghosts, _dots(machine, positions_mm, view),
-           f"{title}\ndisplacement since cold × {exaggeration:,.0f}, largest {largest_m * 1e6:.0f} µm\ngrey lines: cold shape; sensors are shown through the castings",
-           path)  # fmt: skip
+        degC = rise_K[start : start + machine.system.size[name]] + machine.description.reference_degC
+        scenes.append(_scene(machine.meshes[name], where, exaggeration * moved[name], degC, view, towards))
+    words = (
+        f"{title}\ndisplacement since cold × {exaggeration:,.0f}, largest {largest_m * 1e6:.0f} µm\n"
+        "grey lines: cold shape; sensors are shown through the castings"
+    )
+    _paint(scenes, _dots(machine, positions_mm, view), words, path)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """One body on the picture: n small squares (n, 4, 2) with depth, temperature and light; its edges as m pieces
+    (m, 2, 2) with depth; and the edges of the cold shape."""
+
+    squares: Floats
+    depth: Floats
+    degC: Floats
+    light: Floats
+    edges: Floats
+    edge_depth: Floats
+    ghost: Floats
+
+
+def _scene(mesh: BodyMesh, where: Floats, moved: Floats, degC: Floats, view: Floats, towards: Floats) -> _Scene:
+    bent, faces = where + moved, _visible(mesh, towards)
+    squares, heat = _subdivide(bent, degC, faces)
+    lit = np.clip(mesh.faces.normal[_shown(mesh, towards)] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
+    creases = _creases(mesh, faces)
+    s = np.linspace(0.0, 1.0, _SPLIT + 1)[:, None, None]
+    line = bent[creases[:, 0]] * (1 - s) + bent[creases[:, 1]] * s
+    pieces = np.stack([line[:-1].reshape(-1, 3), line[1:].reshape(-1, 3)], axis=1)
+    return _Scene(
+        squares @ view,
+        squares.mean(axis=1) @ towards,
+        heat,
+        np.repeat(0.72 + 0.28 * lit, _SPLIT**2),
+        pieces @ view,
+        pieces.mean(axis=1) @ towards + _EDGE_IN_FRONT_M,
+        where[creases] @ view,
+    )
 
 
 def _camera() -> tuple[Floats, Floats, Floats]:
@@ -143,35 +168,38 @@ def _dots(machine: VirtualMachine, positions_mm: Mapping[str, float], view: Floa
         body = rides.get(sensor.place, machine.description.axes[0].lower)
         if sensor.place == machine.description.cooling.lump:
             body = machine.description.axes[0].lower  # the tank stands on the floor
-        label = sensor.id.replace("theta_", "θ") + (" oil tank" if sensor.place == machine.description.cooling.lump else "")
+        label = sensor.id.replace("theta_", "θ") + (
+            " oil tank" if sensor.place == machine.description.cooling.lump else ""
+        )
         out.append((label, (np.array(sensor.at_mm) * 1e-3 + shift[body]) @ view))
     return out
 
 
-def _paint(
-    quads: list[Floats], depth: list[Floats], warmth: list[Floats], shade: list[Floats],
-    edges: list[tuple[Floats, Floats]], ghosts: list[Floats], dots: list[tuple[str, Floats]], title: str, path: Path,
-) -> None:  # fmt: skip
+def _paint(scenes: Sequence[_Scene], dots: Sequence[tuple[str, Floats]], title: str, path: Path) -> None:
     figure = Figure(figsize=(8.4, 8.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    heat = np.concatenate(warmth)
-    scale = ScalarMappable(Normalize(float(heat.min()), float(heat.max())), "turbo")
-    colour = scale.to_rgba(heat)
-    colour[:, :3] *= np.concatenate(shade)[:, None]
+    degC = np.concatenate([scene.degC for scene in scenes])
+    scale = ScalarMappable(Normalize(float(degC.min()), float(degC.max())), "turbo")
+    colour = scale.to_rgba(degC)
+    colour[:, :3] *= np.concatenate([scene.light for scene in scenes])[:, None]
     # Edges are flat polygons among the others, so that what is in front hides them.
-    flat = np.concatenate([e[0] for e in edges])[:, [0, 1, 1, 0]]
-    edge_depth = np.concatenate([e[1] for e in edges]) + _EDGE_IN_FRONT_M
+    flat = np.concatenate([scene.edges for scene in scenes])[:, [0, 1, 1, 0]]
     colour = np.concatenate([colour, np.tile([1.0, 1.0, 1.0, 0.45], (len(flat), 1))])
-    order = np.argsort(np.concatenate([*depth, edge_depth]))
-    polygons = np.concatenate([*quads, flat])[order]
-    axes.add_collection(LineCollection(np.concatenate(ghosts), colors="#9aa3ad", linewidths=0.7, zorder=1))
-    axes.add_collection(PolyCollection(list(polygons), facecolors=colour[order], edgecolors=colour[order], linewidths=0.4))
+    depth = np.concatenate([*(scene.depth for scene in scenes), *(scene.edge_depth for scene in scenes)])
+    order = np.argsort(depth)
+    polygons = np.concatenate([*(scene.squares for scene in scenes), flat])[order]
+    ghosts = np.concatenate([scene.ghost for scene in scenes])
+    axes.add_collection(LineCollection(list(ghosts), colors="#9aa3ad", linewidths=0.7, zorder=1))
+    axes.add_collection(
+        PolyCollection(list(polygons), facecolors=colour[order], edgecolors=colour[order], linewidths=0.4)
+    )
+    box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.75}
     for name, place in dots:
-        axes.plot(*place, "o", ms=5, mfc="white", mec="black", mew=0.9, zorder=5)
-        axes.annotate(name, place, xytext=(5, 4), textcoords="offset points", fontsize=8, zorder=6,
-                      bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.75})  # fmt: skip
-    everything = np.concatenate([polygons.reshape(-1, 2), *(g.reshape(-1, 2) for g in ghosts), [d[1] for d in dots]])
+        spot = (float(place[0]), float(place[1]))
+        axes.plot(*spot, "o", ms=5, mfc="white", mec="black", mew=0.9, zorder=5)
+        axes.annotate(name, spot, xytext=(5, 4), textcoords="offset points", fontsize=8, zorder=6, bbox=box)
+    everything = np.concatenate([polygons.reshape(-1, 2), ghosts.reshape(-1, 2), np.array([d[1] for d in dots])])
     (left, low), (right, high) = everything.min(axis=0), everything.max(axis=0)
     axes.set(xlim=(left - 0.15, right + 0.3), ylim=(low - 0.15, high + 0.15), aspect="equal")
     axes.axis("off")

@@ -67,8 +67,12 @@ def reduce_system(system: ThermalSystem, rows: Floats) -> ReducedModel:
     basis = np.zeros((system.states, 0))
     for constant in MATCHED_S:
         shift = 0.0 if np.isinf(constant) else 1.0 / constant
-        factor = splu(sp.csc_matrix(system.conductance + shift * system.capacity), permc_spec="MMD_AT_PLUS_A",
-                      diag_pivot_thresh=0.0, options={"SymmetricMode": True})  # fmt: skip
+        factor = splu(
+            sp.csc_matrix(system.conductance + shift * system.capacity),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
         block = factor.solve(system.source)
         block /= np.sqrt(np.einsum("ij,ij->j", block, system.capacity @ block))
         basis = np.concatenate([basis, _new_directions(system, basis, block)], axis=1)

@@ -60,7 +60,7 @@ class _Assembly:
         self.conductance: list[Any] = []
         self.columns: dict[str, Floats] = {}
 
-    def blocks(self, name: str, capacity: sp.spmatrix, conductance: sp.spmatrix) -> None:
+    def blocks(self, name: str, capacity: sp.csc_matrix, conductance: sp.csc_matrix) -> None:
         start = self.offset[name]
         for target, block in ((self.capacity, capacity), (self.conductance, conductance)):
             coo = sp.coo_matrix(block)
@@ -125,8 +125,11 @@ def assemble_machine(
 
 
 def _place_names(description: Description) -> list[str]:
-    return [*(p.name for p in description.patches), *(x.name for x in description.lumps),
-            *(r.name for r in description.rods)]  # fmt: skip
+    return [
+        *(p.name for p in description.patches),
+        *(x.name for x in description.lumps),
+        *(r.name for r in description.rods),
+    ]
 
 
 def body_matrices(material: Material, spaces: Scalar) -> tuple[sp.csc_matrix, sp.csc_matrix]:
@@ -259,9 +262,7 @@ def sensor_rows(description: Description, meshes: Mapping[str, BodyMesh], system
     return rows
 
 
-def _foot(
-    row: Floats, sensor: TwinSensor, patch: Patch, meshes: Mapping[str, BodyMesh], system: ThermalSystem
-) -> None:
+def _foot(row: Floats, sensor: TwinSensor, patch: Patch, meshes: Mapping[str, BodyMesh], system: ThermalSystem) -> None:
     spot = np.array(sensor.at_mm) * 1e-3
     foot = np.full(3, _SENSOR_FOOT_M)
     foot[AXES.index(patch.normal[1])] = 1e-4
@@ -274,15 +275,21 @@ def _foot(
     np.add.at(row, system.offset[patch.body] + weights.nodes, weights.weight_m2 / weights.area_m2)
 
 
-def transient(system: ThermalSystem, inputs: Floats, step_s: float, rows: Floats, start: Floats | None = None) -> Floats:
+def transient(
+    system: ThermalSystem, inputs: Floats, step_s: float, rows: Floats, start: Floats | None = None
+) -> Floats:
     """Outputs (steps + 1, rows) of the full model under inputs (steps, inputs) held constant over each step.
 
     Two-stage SDIRK of second order, stiffly accurate (Alexander 1977): one factorisation of C + γ h K serves all.
     """
     gamma = 1.0 - np.sqrt(0.5)
     capacity, conductance = system.capacity, system.conductance
-    factor = splu(sp.csc_matrix(capacity + gamma * step_s * conductance), permc_spec="MMD_AT_PLUS_A",
-                  diag_pivot_thresh=0.0, options={"SymmetricMode": True})  # fmt: skip
+    factor = splu(
+        sp.csc_matrix(capacity + gamma * step_s * conductance),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
     state = np.zeros(system.states) if start is None else start.copy()
     out = np.empty((len(inputs) + 1, len(rows)))
     out[0] = rows @ state

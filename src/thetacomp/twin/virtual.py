@@ -54,7 +54,9 @@ class VirtualMachine:
         """Poses that make the tool error."""
         return slice(self.feedback_rows.stop, len(self.rows))
 
-    def tool_error_um(self, poses: Floats, positions_mm: Mapping[str, Floats], tool_length_mm: Floats | float) -> Floats:
+    def tool_error_um(
+        self, poses: Floats, positions_mm: Mapping[str, Floats], tool_length_mm: Floats | float
+    ) -> Floats:
         """Thermal error of the tool (n, 6): X, Y, Z in µm, rotations about X, Y, Z in µrad.
 
         `poses` (n, tool rows) are the outputs at the n moments, `positions_mm` the commanded positions of each axis.
@@ -96,8 +98,9 @@ def build(description: Description, refinement: float = 1.0) -> VirtualMachine:
     """
     meshes = {body.name: mesh_body(body, refinement) for body in description.bodies}
     spaces = {name: scalar_spaces(mesh) for name, mesh in meshes.items()}
-    elastic = {b.name: assemble(meshes[b.name], description.materials[b.material], spaces[b.name])
-               for b in description.bodies}  # fmt: skip
+    elastic = {
+        b.name: assemble(meshes[b.name], description.materials[b.material], spaces[b.name]) for b in description.bodies
+    }
     system = assemble_machine(description, meshes, spaces)
     bodies = support_bodies(description, elastic)
     tool, poses = tool_rows(description, bodies, system)

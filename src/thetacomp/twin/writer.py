@@ -22,13 +22,17 @@ def truth_folder(folder: Path) -> Path:
     return folder.with_name(folder.name + "-truth")
 
 
-def write_twin(folder: Path, twin: Twin, plans: Sequence[Plan]) -> tuple[Record, ...]:
-    """Run the planned campaigns and write both folders. Raises AnalysisError where one of them is not empty."""
-    truth = truth_folder(folder)
-    for place in (folder, truth):
+def refuse_filled(folder: Path) -> None:
+    """Raise AnalysisError where the folder or its truth folder holds something: nothing is overwritten."""
+    for place in (folder, truth_folder(folder)):
         if place.exists() and (not place.is_dir() or any(place.iterdir())):
             raise AnalysisError(f"{place} already exists and is not empty. Fix: name another folder or remove it.")
-    records = []
+
+
+def write_twin(folder: Path, twin: Twin, plans: Sequence[Plan]) -> tuple[Record, ...]:
+    """Run the planned campaigns and write both folders. Raises AnalysisError where one of them is not empty."""
+    refuse_filled(folder)
+    truth, records = truth_folder(folder), []
     _text(folder / "machine.toml", _machine_toml(twin))
     for plan in plans:
         record = run_campaign(twin, plan)
@@ -45,9 +49,11 @@ def write_campaign(folder: Path, twin: Twin, record: Record, compensation: str =
     axes = twin.machine.description.axes
     truth = record.truth
     ids = [s.id for s in twin.sensors]
-    _table(folder / "temperatures.csv", ["t_s", *ids], [
-        _texts(record.temperature_t_s, 0), *(_texts(column, 2) for column in record.temperature_degC.T)
-    ])  # fmt: skip
+    _table(
+        folder / "temperatures.csv",
+        ["t_s", *ids],
+        [_texts(record.temperature_t_s, 0), *(_texts(column, 2) for column in record.temperature_degC.T)],
+    )
     seen = np.isfinite(record.measured_um).all(axis=1)
     at = {f"at_{name}_mm": position for name, position in truth.positions_mm.items()}
     error = {f"d{d}_um": record.measured_um[:, k] for k, d in enumerate(AXES)}
@@ -57,18 +63,25 @@ def write_campaign(folder: Path, twin: Twin, record: Record, compensation: str =
         folder / "sweeps.csv",
         ["t_s", "axis", "position_mm", *error, "direction", "run", *at],
         [
-            _texts(truth.t_s[rows], 1), [axes[a].name for a in truth.axis[rows]], _texts(position[rows], 3),
-            *(_texts(e[rows], 1) for e in error.values()), ["+" if d > 0 else "-" for d in truth.direction[rows]],
+            _texts(truth.t_s[rows], 1),
+            [axes[a].name for a in truth.axis[rows]],
+            _texts(position[rows], 3),
+            *(_texts(e[rows], 1) for e in error.values()),
+            ["+" if d > 0 else "-" for d in truth.direction[rows]],
             [str(s) for s in truth.sweep[rows]],
             # Where an axis moves, its position is position_mm and nowhere else.
             *(_texts(np.where(truth.axis == a, np.nan, p)[rows], 3) for a, p in enumerate(at.values())),
         ],
-    )  # fmt: skip
+    )
     rows = seen & (truth.axis == _AXIS_DRIFT)
     _table(
         folder / "drift.csv",
         ["t_s", *error, *at],
-        [_texts(truth.t_s[rows], 1), *(_texts(e[rows], 1) for e in error.values()), *(_texts(p[rows], 3) for p in at.values())],
+        [
+            _texts(truth.t_s[rows], 1),
+            *(_texts(e[rows], 1) for e in error.values()),
+            *(_texts(p[rows], 3) for p in at.values()),
+        ],
     )
     work = record.work
     feeds = {f"feed_{name}_mm_min": feed * 1000.0 for name, feed in work.feed_m_min.items()}
@@ -76,11 +89,14 @@ def write_campaign(folder: Path, twin: Twin, record: Record, compensation: str =
         folder / "duty.csv",
         ["t_s", "spindle_rpm", "feed_mm_min", *feeds, "hydraulics_on", "chiller_on"],
         [
-            _texts(np.arange(len(work.on)) * STEP_S, 0), _texts(work.rpm, 0),
-            _texts(np.max(list(feeds.values()), axis=0), 0), *(_texts(f, 0) for f in feeds.values()),
-            _texts(work.on, 0), _texts(work.chiller, 0),
+            _texts(STEP_S * np.arange(float(len(work.on))), 0),
+            _texts(work.rpm, 0),
+            _texts(np.max(list(feeds.values()), axis=0), 0),
+            *(_texts(f, 0) for f in feeds.values()),
+            _texts(work.on, 0),
+            _texts(work.chiller, 0),
         ],
-    )  # fmt: skip
+    )
     _text(folder / "campaign.toml", _campaign_toml(twin, record, compensation))
 
 
@@ -91,14 +107,23 @@ def write_truth(folder: Path, twin: Twin, record: Record) -> None:
     axis = [axes[a].name if a != _AXIS_DRIFT else "" for a in truth.axis]
     _table(
         folder / "points.csv",
-        ["t_s", "axis", "direction", *(f"at_{a.name}_mm" for a in axes),
-         *(f"thermal_{n}" for n in names), *(f"geometry_{n}" for n in names)],
         [
-            _texts(truth.t_s, 1), axis, ["+" if d > 0 else "-" for d in truth.direction],
-            *(_texts(truth.positions_mm[a.name], 3) for a in axes),
-            *(_texts(c, 3) for c in truth.thermal.T), *(_texts(c, 3) for c in truth.geometry.T),
+            "t_s",
+            "axis",
+            "direction",
+            *(f"at_{a.name}_mm" for a in axes),
+            *(f"thermal_{n}" for n in names),
+            *(f"geometry_{n}" for n in names),
         ],
-    )  # fmt: skip
+        [
+            _texts(truth.t_s, 1),
+            axis,
+            ["+" if d > 0 else "-" for d in truth.direction],
+            *(_texts(truth.positions_mm[a.name], 3) for a in axes),
+            *(_texts(c, 3) for c in truth.thermal.T),
+            *(_texts(c, 3) for c in truth.geometry.T),
+        ],
+    )
     from_start = record.history.t_s >= record.begin_s
     t_s = record.history.t_s[from_start]
     _table(
@@ -109,9 +134,7 @@ def write_truth(folder: Path, twin: Twin, record: Record) -> None:
     middle = {a.name: np.full(len(t_s), 0.5 * sum(a.travel_mm)) for a in axes}
     poses = record.history.poses(twin.machine, t_s)
     drift = twin.machine.tool_error_um(poses, middle, twin.conditions.work.tool_length_mm)
-    _table(
-        folder / "drift.csv", ["t_s", *names], [_texts(t_s - record.begin_s, 0), *(_texts(c, 3) for c in drift.T)]
-    )
+    _table(folder / "drift.csv", ["t_s", *names], [_texts(t_s - record.begin_s, 0), *(_texts(c, 3) for c in drift.T)])
     _table(folder / "components.csv", *_components(twin, record))
 
 
@@ -136,8 +159,9 @@ def _components(twin: Twin, record: Record) -> tuple[list[str], list[list[str]]]
         shape = np.abs(change[:, :3] - design @ line).max(axis=0)
         for d, direction in enumerate(AXES):
             figures = (line[0, d], line[1, d], middle, *axis.travel_mm, shape[d])
-            for column, text in zip(columns, [f"{t_s:.1f}", f"E{direction}{axis.name}",
-                                              *(f"{x:.3f}" for x in figures)], strict=True):  # fmt: skip
+            for column, text in zip(
+                columns, [f"{t_s:.1f}", f"E{direction}{axis.name}", *(f"{x:.3f}" for x in figures)], strict=True
+            ):
                 column.append(text)
     return head, columns
 
@@ -170,7 +194,9 @@ def _machine_toml(twin: Twin) -> str:
     description = twin.machine.description
     out = [
         "format = 1\n\n[machine]",
-        _pairs({"name": description.name, "origin": f"virtual machine, preset {twin.conditions.name}, seed {twin.seed}"}),
+        _pairs(
+            {"name": description.name, "origin": f"virtual machine, preset {twin.conditions.name}, seed {twin.seed}"}
+        ),
     ]
     sections = (
         ("axes", description.machine_axes()),
@@ -187,26 +213,38 @@ def _campaign_toml(twin: Twin, record: Record, compensation: str) -> str:
     tracker = twin.conditions.tracker
     modes = {"off": "no cooling", "on": "cooling"}
     start = f"{record.plan.name}T{START_HOUR:02d}:00:00"
-    return _pairs({
-        "datum": "campaign",
-        "instrument": tracker.name,
-        "instrument_u_um": tracker.u_um,
-        "instrument_u_um_per_m": tracker.u_um_per_m,
-        "compensation": compensation,
-        "mode": modes.get(record.plan.chiller, f"cooling {record.plan.chiller}"),
-        "tool_length_mm": twin.conditions.work.tool_length_mm,
-        "reference_s": record.reference_s,
-        "origin": f"virtual machine, preset {twin.conditions.name}, seed {twin.seed}, {record.plan.kind} duty,"
-        f" started {start}",
-    }) + "\n"  # fmt: skip
+    return (
+        _pairs(
+            {
+                "datum": "campaign",
+                "instrument": tracker.name,
+                "instrument_u_um": tracker.u_um,
+                "instrument_u_um_per_m": tracker.u_um_per_m,
+                "compensation": compensation,
+                "mode": modes.get(record.plan.chiller, f"cooling {record.plan.chiller}"),
+                "tool_length_mm": twin.conditions.work.tool_length_mm,
+                "reference_s": record.reference_s,
+                "origin": f"virtual machine, preset {twin.conditions.name}, seed {twin.seed}, {record.plan.kind} duty,"
+                f" started {start}",
+            }
+        )
+        + "\n"
+    )
 
 
 def _truth_toml(twin: Twin, records: Sequence[Record]) -> str:
-    out = [_pairs({
-        "thetacomp": __version__, "preset": twin.conditions.name, "seed": twin.seed,
-        "machine": twin.machine.description.name, "new_year": NEW_YEAR.isoformat(),
-        "thermal_counts_from_degC": twin.machine.description.reference_degC,
-    })]  # fmt: skip
+    out = [
+        _pairs(
+            {
+                "thetacomp": __version__,
+                "preset": twin.conditions.name,
+                "seed": twin.seed,
+                "machine": twin.machine.description.name,
+                "new_year": NEW_YEAR.isoformat(),
+                "thermal_counts_from_degC": twin.machine.description.reference_degC,
+            }
+        )
+    ]
     for sensor in twin.sensors:
         out += ["\n[[sensors]]", _pairs(vars(sensor))]
     for record in records:
@@ -230,7 +268,9 @@ def _toml(value: object) -> str:
 
 def _texts(values: Floats, decimals: int) -> list[str]:
     """Numbers as text, NaN as an empty cell, never "-0"."""
-    return ["" if np.isnan(v) else f"{v + 0.0:.{decimals}f}" for v in np.round(np.asarray(values, dtype=float), decimals)]
+    return [
+        "" if np.isnan(v) else f"{v + 0.0:.{decimals}f}" for v in np.round(np.asarray(values, dtype=float), decimals)
+    ]
 
 
 def _table(path: Path, head: Sequence[str], columns: Sequence[Sequence[str]]) -> None:
