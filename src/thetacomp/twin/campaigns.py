@@ -137,7 +137,7 @@ def run_campaign(twin: Twin, plan: Plan, correction: Correction | None = None) -
         error = error + correction(t_s, reading, truth.t_s, truth.positions_mm)
     day = set_up_tracker(rng, conditions.tracker, truth.tool_m.mean(axis=0))
     measured = track(rng, conditions.tracker, day, truth.tool_m, error, truth.sweep)
-    reference_s = float(truth.t_s[timetable.cold].max())
+    reference_s = float(np.ceil(truth.t_s[timetable.cold].max()))
     # The frame comes from the cold block and stays: refitting it later would absorb the thermal error.
     frame = fit_frame(truth.tool_m[timetable.cold], measured[timetable.cold])
     measured = measured - (frame_design(truth.tool_m) @ frame).reshape(-1, 3)

@@ -214,7 +214,11 @@ class TwinSensor(Strict):
 
 
 class Description(Strict):
-    """The whole virtual machine."""
+    """The whole virtual machine.
+
+    `ground` are the patches that stand on the foundation. `nose` is the patch that holds the fixed bearing of the
+    rod `spindle`, whose far end is the tool's seat.
+    """
 
     format: Literal[1]
     name: str

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
-from skfem import Basis, BilinearForm, ElementHex1, ElementHexS2, MeshHex
+from skfem import Basis, BilinearForm, ElementHex1, ElementHexS2, FacetBasis, MeshHex
 
-from thetacomp.twin.description import Material
-from thetacomp.twin.mesh import BodyMesh, Floats, Ints, NodeWeights
+from thetacomp.twin.description import Material, Patch
+from thetacomp.twin.mesh import AXES, BodyMesh, Floats, Ints
 
 # Corner order of scikit-fem's reference brick, in our order (x fastest).
 _TO_SKFEM = [0, 4, 2, 1, 6, 5, 3, 7]
@@ -147,16 +147,27 @@ def support_statically(body: ElasticBody) -> Supported:
 
 
 def support_on_springs(
-    body: ElasticBody, pads: Sequence[NodeWeights], stiffness_N_per_m3: float, shear_N_per_m3: float
+    body: ElasticBody, pads: Sequence[Patch], stiffness_N_per_m3: float, shear_N_per_m3: float
 ) -> Supported:
-    """Stand the body on a bed of springs (mounts on a foundation): one stiffness along the pads' normal, one across."""
-    diagonal = np.zeros(body.stiffness.shape[0])
+    """Stand the body on a bed of springs (mounts on a foundation): one stiffness along the pads' normal, one across.
+
+    A face of an element rests on the springs where its middle lies in a pad.
+    """
+    springs: list[Any] = [0.0, 0.0, 0.0]
+    fem = body.spaces.quadratic.mesh
+    outside = fem.boundary_facets()
+    middle = fem.p[:, fem.facets[:, outside]].mean(axis=1).T
+    flat = np.ptp(fem.p[:, fem.facets[:, outside]], axis=1).T < 1e-9
     for pad in pads:
+        lo, hi = np.array(pad.from_mm) * 1e-3 - 1e-6, np.array(pad.to_mm) * 1e-3 + 1e-6
+        normal = AXES.index(pad.normal[1])
+        resting = outside[np.all((middle >= lo) & (middle <= hi), axis=1) & flat[:, normal]]
+        faces = FacetBasis(fem, ElementHexS2(), facets=resting, intorder=4)
+        mass = BilinearForm(lambda u, v, _: u * v).assemble(faces)
         for a in range(3):
-            stiffness = stiffness_N_per_m3 if pad.normal[a] else shear_N_per_m3
-            diagonal[body.vertex_dofs(a)[pad.nodes]] += pad.weight_m2 * stiffness
+            springs[a] = springs[a] + (stiffness_N_per_m3 if a == normal else shear_N_per_m3) * mass
     everything = np.arange(body.stiffness.shape[0])
-    return Supported(body, everything, _factor(body.stiffness + sp.diags(diagonal)))
+    return Supported(body, everything, _factor(body.stiffness + sp.block_diag(springs)))
 
 
 def _factor(matrix: sp.spmatrix) -> SuperLU:

@@ -57,7 +57,7 @@ class Stations:
 
 @dataclass(frozen=True)
 class ToolMap:
-    """How the output rows make the tool error. `nose_m` is the spindle nose with all axes at zero."""
+    """How the output rows make the tool error. `nose_m` is the spindle nose, the tool's seat, with all axes at zero."""
 
     stations: tuple[Stations, ...]
     nose_m: Floats
@@ -116,7 +116,7 @@ def support_bodies(description: Description, elastic: Mapping[str, ElasticBody])
     springs = description.ground_stiffness_N_per_mm3 * 1e9, description.ground_shear_N_per_mm3 * 1e9
     out = {}
     for name, body in elastic.items():
-        pads = [patch_weights(body.mesh, p) for p in grounds if p.body == name]
+        pads = [p for p in grounds if p.body == name]
         out[name] = support_on_springs(body, pads, *springs) if pads else support_statically(body)
     return out
 
