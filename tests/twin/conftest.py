@@ -1,4 +1,4 @@
-"""One coarse virtual machine for all tests here: elements about 2.5 times the presets', built in some seconds."""
+"""One coarse virtual machine for all tests here: elements about three times the presets', built in some seconds."""
 
 from __future__ import annotations
 

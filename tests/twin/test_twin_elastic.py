@@ -75,8 +75,8 @@ def test_a_held_bar_is_under_the_stress_of_hookes_law(iron: Material) -> None:
     bar = supported(Block(from_mm=(0, 0, 0), to_mm=(100, 4000, 100)), iron, element_mm=200.0)
     mesh = bar.body.mesh
     ends = [
-        Patch(name="end", body="part", normal=n, from_mm=(0, y, 0), to_mm=(100, y, 100))
-        for y, n in ((0, "-Y"), (4000, "+Y"))
+        Patch(name="foot", body="part", normal="-Y", from_mm=(0, 0, 0), to_mm=(100, 0, 100)),
+        Patch(name="head", body="part", normal="+Y", from_mm=(0, 4000, 0), to_mm=(100, 4000, 100)),
     ]
     held = support_on_springs(bar.body, ends, 1e16, 1.0)
     moved = held.under_force(held.body.load @ np.full(len(mesh.points_m), 10.0))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.sparse.linalg import spsolve
 
 from thetacomp.errors import AnalysisError, InputError
 from thetacomp.twin.description import Description, load_description
@@ -21,7 +25,7 @@ def error_um(
     machine: VirtualMachine, rise_K: np.ndarray, positions: Mapping[str, float] = MIDDLE, tool_mm: float = 0.0
 ) -> np.ndarray:
     poses = (machine.rows[machine.tool_rows] @ rise_K)[None]
-    return machine.tool_error_um(poses, {k: np.array([v]) for k, v in positions.items()}, tool_mm)[0]
+    return np.asarray(machine.tool_error_um(poses, {k: np.array([v]) for k, v in positions.items()}, tool_mm)[0])
 
 
 def slope_um_per_m(machine: VirtualMachine, rise_K: np.ndarray, axis: str) -> np.ndarray:
@@ -145,7 +149,7 @@ def random_week(machine: VirtualMachine, step_s: float) -> np.ndarray:
 
 
 def test_the_reduced_model_is_within_one_percent_of_the_full_one_over_a_random_week(coarse: VirtualMachine) -> None:
-    step_s = 120.0  # at 300 s the time steps of the full model would err more than the reduction
+    step_s = 180.0  # at 300 s the time steps of the full model would err more than the reduction
     u = random_week(coarse, step_s)
     full = transient(coarse.system, u, step_s, coarse.rows)
     reduced = coarse.reduced.run(u, step_s)
@@ -160,8 +164,6 @@ def test_the_reduced_model_is_within_one_percent_of_the_full_one_over_a_random_w
 
 
 def test_steady_states_of_the_reduced_model_are_exact(coarse: VirtualMachine) -> None:
-    from scipy.sparse.linalg import spsolve
-
     u = random_week(coarse, 4 * 3600.0)[5]
     full = coarse.rows @ spsolve(coarse.system.conductance, coarse.system.source @ u)
     reduced = coarse.reduced.rows @ coarse.reduced.steady(u)
@@ -187,12 +189,8 @@ def test_a_finer_mesh_changes_the_tool_by_less_than_two_percent() -> None:
 
 
 def changed(text: str, replacement: str) -> Description:
-    from importlib import resources
-
     source = resources.files("thetacomp.twin").joinpath("presets", "tk6920.toml").read_text(encoding="utf-8")
     assert text in source
-    import tomllib
-
     return Description.model_validate(tomllib.loads(source.replace(text, replacement, 1)))
 
 
@@ -211,9 +209,7 @@ def test_pads_that_leave_a_motion_open_are_refused() -> None:
         build(loose, refinement=0.4)
 
 
-def test_a_wrong_name_in_a_machine_file_is_told_with_the_known_ones(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    from importlib import resources
-
+def test_a_wrong_name_in_a_machine_file_is_told_with_the_known_ones(tmp_path: Path) -> None:
     source = resources.files("thetacomp.twin").joinpath("presets", "tk6920.toml").read_text(encoding="utf-8")
     path = tmp_path / "machine.toml"
     path.write_text(source.replace('b = "front_bearing_seat"', 'b = "front_seat"', 1), encoding="utf-8")
@@ -222,7 +218,7 @@ def test_a_wrong_name_in_a_machine_file_is_told_with_the_known_ones(tmp_path) ->
 
 
 @pytest.mark.parametrize(("content", "message"), [("a = [", "not valid TOML"), ("a = 1", "Extra inputs")])
-def test_broken_machine_files_are_told(tmp_path, content: str, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_broken_machine_files_are_told(tmp_path: Path, content: str, message: str) -> None:
     path = tmp_path / "machine.toml"
     path.write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=message):

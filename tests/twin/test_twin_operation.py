@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -243,7 +245,7 @@ def test_geometry_is_a_function_of_position_and_approach_alone(twin: Twin, stand
     assert spectrum[8:].argmax() + 8 == pytest.approx(4010 / 40, abs=1.0)
 
 
-def test_conditions_with_an_unknown_key_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_conditions_with_an_unknown_key_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('name = "mine"\nmachine = "tk6920"\nweather = 3\n', encoding="utf-8")
     with pytest.raises(InputError) as caught:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise, product
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +25,8 @@ from thetacomp.twin.mesh import AXES, BodyMesh, Floats, NodeWeights, face_weight
 from thetacomp.twin.thermal import ThermalSystem, rod_axis
 
 _DIRECTIONS = np.eye(3)
+
+_PIECE_M = 0.15  # guides are looked at in pieces this large, so that the fit does not depend on the mesh
 
 
 @dataclass(frozen=True)
@@ -155,14 +158,10 @@ def _axis_rows(
         below = [
             _raw_pose(lower, g, point0 + e * p, along, datum, axis.name) for g, p in zip(guides, position, strict=True)
         ]
-        above = [
-            _raw_pose(upper, [patch_weights(upper.body.mesh, u) for u in upper_pads], point0, along, nut, axis.name)
-        ]
+        above = [_raw_pose(upper, _whole(upper.body.mesh, upper_pads, along), point0, along, nut, axis.name)]
     else:
         feet = [_windows(upper.body.mesh, upper_pads, short, along, -(e * p)[along]) for p in position]
-        below = [
-            _raw_pose(lower, [patch_weights(lower.body.mesh, u) for u in lower_pads], point0, along, datum, axis.name)
-        ]
+        below = [_raw_pose(lower, _whole(lower.body.mesh, lower_pads, along), point0, along, datum, axis.name)]
         above = [
             _raw_pose(upper, f, point0 - e * p, along, nut, axis.name) for f, p in zip(feet, position, strict=True)
         ]
@@ -226,49 +225,58 @@ def _centre(patch: Patch) -> Floats:
 def _windows(
     mesh: BodyMesh, long: Sequence[Patch], short: Sequence[Patch], along: int, shift_m: float
 ) -> list[NodeWeights]:
-    """The parts of long guide faces that lie under short pads moved by `shift_m` along the axis."""
-    spans = sorted({(s.from_mm[along], s.to_mm[along]) for s in short})
-    out = []
-    for patch in long:
-        for lo, hi in spans:
-            box = np.array([patch.from_mm, patch.to_mm]) * 1e-3
-            box[0, along] = max(lo * 1e-3 + shift_m, box[0, along])
-            box[1, along] = min(hi * 1e-3 + shift_m, box[1, along])
-            if box[1, along] > box[0, along]:
-                out.append(face_weights(mesh, box[0], box[1], patch.normal))
-    return [w for w in out if len(w.nodes)]
+    """The parts of long guide faces that lie under short pads moved by `shift_m` along the axis, in pieces."""
+    spans = sorted({(s.from_mm[along] * 1e-3 + shift_m, s.to_mm[along] * 1e-3 + shift_m) for s in short})
+    return [piece for patch in long for span in spans for piece in _pieces(mesh, patch, along, *span)]
+
+
+def _whole(mesh: BodyMesh, pads: Sequence[Patch], along: int) -> list[NodeWeights]:
+    """Whole pads, in pieces."""
+    return [piece for pad in pads for piece in _pieces(mesh, pad, along, -np.inf, np.inf)]
+
+
+def _pieces(mesh: BodyMesh, patch: Patch, along: int, lo_m: float, hi_m: float) -> list[NodeWeights]:
+    """The part of a patch between two coordinates along an axis, cut into pieces of at most `_PIECE_M`."""
+    box = np.array([patch.from_mm, patch.to_mm]) * 1e-3
+    box[0, along], box[1, along] = max(lo_m, box[0, along]), min(hi_m, box[1, along])
+    if box[1, along] <= box[0, along]:
+        return []
+    counts = np.maximum(np.ceil((box[1] - box[0]) / _PIECE_M - 1e-9), 1).astype(int)
+    cuts = [np.linspace(box[0, a], box[1, a], counts[a] + 1) for a in range(3)]
+    pieces = [
+        face_weights(mesh, np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]]), patch.normal)
+        for x, y, z in product(*(list(pairwise(c)) for c in cuts))
+    ]
+    return [piece for piece in pieces if len(piece.nodes)]
 
 
 def _raw_pose(
     body: Supported, pads: Sequence[NodeWeights], point_m: Floats, along: int, mark: NodeWeights, axis: str
 ) -> sp.csr_matrix:
-    """Functionals (6, dofs) of the rigid motion that fits the pads' normal displacement best.
+    """Functionals (6, dofs) of the rigid motion that fits the pads' mean normal displacements best, by area.
 
     Pads only push along their normals, so motion along the axis is open; its row holds the mean displacement of
     the mark (scale datum or head) instead. Raises AnalysisError where the pads leave another motion open.
     """
     elastic = body.body
-    design, weight, dofs, sign = [], [], [], []
-    for pad in pads:
-        lever = elastic.mesh.points_m[pad.nodes] - point_m
-        normal = np.broadcast_to(pad.normal, lever.shape)
+    design, area = [], np.array([pad.area_m2 for pad in pads])
+    means = np.zeros((len(pads), elastic.stiffness.shape[0]))
+    for mean, pad in zip(means, pads, strict=True):
+        share = pad.weight_m2 / pad.area_m2
+        lever = share @ elastic.mesh.points_m[pad.nodes] - point_m
         direction = int(np.argmax(np.abs(pad.normal)))
-        design.append(np.concatenate([normal, np.cross(lever, normal)], axis=1))
-        weight.append(pad.weight_m2)
-        dofs.append(elastic.vertex_dofs(direction)[pad.nodes])
-        sign.append(normal[:, direction])
+        design.append(np.concatenate([pad.normal, np.cross(lever, pad.normal)]))
+        mean[elastic.vertex_dofs(direction)[pad.nodes]] = share * pad.normal[direction]
     open_dofs = [d for d in range(6) if d != along]
-    a, w = np.concatenate(design)[:, open_dofs], np.concatenate(weight)
-    normal_matrix = a.T @ (w[:, None] * a)
+    a = np.array(design)[:, open_dofs]
+    normal_matrix = a.T @ (area[:, None] * a)
     if np.linalg.matrix_rank(normal_matrix, tol=1e-6 * float(np.trace(normal_matrix))) < 5:
         raise AnalysisError(
             f"axis {axis}: its pads do not hold all of the five motions that a linear guide must hold."
             " Fix: add pads with other normals, or pads farther apart."
         )
-    fit = np.linalg.solve(normal_matrix, a.T * w) * np.concatenate(sign)
     rows = np.zeros((6, elastic.stiffness.shape[0]))
-    for d, values in zip(open_dofs, fit, strict=True):
-        np.add.at(rows[d], np.concatenate(dofs), values)
+    rows[open_dofs] = np.linalg.solve(normal_matrix, a.T * area) @ means
     np.add.at(rows[along], elastic.vertex_dofs(along)[mark.nodes], mark.weight_m2 / mark.area_m2)
     return sp.csr_matrix(rows)
 
