@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip("skfem", reason="the virtual machine needs the extra 'twin'")
-
 from thetacomp.twin.campaigns import Twin, make_twin
 from thetacomp.twin.conditions import Conditions, load_conditions
 from thetacomp.twin.description import Material, load_description
