@@ -84,6 +84,12 @@ def document(
     )
 
 
+def nothing_predicts(name: str, constant: float = 0.0) -> Component:
+    """A component without inputs, as the analysis stores it where no sensor follows the error; 40 µm remained."""
+    empty = component(name, term(constant, sd=2.0), term(0.0, sd=1.0), {})
+    return empty.model_copy(update={"residual_um": (20.0, 40.0)})
+
+
 def three_axes(
     sign: Literal["stated", "unproven"] = "stated", directions: tuple[str, str, str] = ("+X", "+Y", "-Z")
 ) -> ModelDocument:

@@ -111,7 +111,7 @@ def separation(
     nan = np.full(len(t_s), np.nan)
     base = ComponentSeparation(
         campaign=campaign.name, component=component, direction=component[1], axis=axis, p0_mm=p_min, p_min_mm=p_min,
-        p_max_mm=p_max, reference_s=float(t_s[0]), sweep=np.arange(len(t_s)), t_s=t_s,
+        p_max_mm=p_max, reference_s=float(t_s[0]), zero_t_s=t_s[:1], sweep=np.arange(len(t_s)), t_s=t_s,
         cold=np.arange(len(t_s)) == 0, intercept_um=intercept, intercept_se_um=nan, slope_um_per_m=slope,
         slope_se_um_per_m=nan, rms_um=nan, noise_sd_um=float("nan"), dof=0.0,
     )  # fmt: skip
@@ -158,7 +158,8 @@ def _drift_separation(campaign: Campaign, component: str, column: int) -> Compon
     zero, nan = np.zeros(n), np.full(n, np.nan)
     return ComponentSeparation(
         campaign=campaign.name, component=component, direction=component[1], axis=None, p0_mm=0.0, p_min_mm=0.0,
-        p_max_mm=0.0, reference_s=0.0, sweep=np.arange(n), t_s=drift.t_s, cold=np.arange(n) < 31,
+        p_max_mm=0.0, reference_s=0.0,
+        zero_t_s=drift.t_s[:1], sweep=np.arange(n), t_s=drift.t_s, cold=np.arange(n) < 31,
         intercept_um=drift.error_um[:, column], intercept_se_um=nan, slope_um_per_m=zero, slope_se_um_per_m=nan,
         rms_um=nan, noise_sd_um=float("nan"), dof=0.0,
     )  # fmt: skip
@@ -210,6 +211,7 @@ def _fit(name: str, parts: Sequence[ComponentSeparation], folder: MachineFolder,
         inputs=(key,), intercept=a, slope=b if moving else None, residual_correlation=-0.3,
         dof=max(len(rise) - 2, 1), states=len(rise),
         residual_um=(float(np.sqrt(np.mean(after**2))), float(after.max())),
+        held_out_um=tuple(1.25 * float(v) for v in (np.sqrt(np.mean(after**2)), np.percentile(after, 95), after.max())),
         equation=f"{name} = {lever + ' ' if moving else ''}{body}",
     )  # fmt: skip
     return _Fit(component, before, after)
@@ -446,6 +448,67 @@ def nasty_names_analysis() -> Analysis:
     return sweeps_analysis(name='<script>alert("x")</script> & Söhne', campaigns=('A < B & "C"',), states=4)
 
 
+def no_key_point_analysis() -> Analysis:
+    """No sensor predicts what happens while Y moves: its components have no input and predict no error at all."""
+    analysis = sweeps_analysis(states=5)
+    zero = LinearTerm(constant=0.0, coefficients_per_K=(), covariance=((0.0,),), residual_sd=30.0, r_squared=-0.4)
+    components = dict(analysis.model.components)
+    for name, component in components.items():
+        if component.axis == "Y":
+            nothing = component.reference.model_copy(update={"temperature_degC": {}})
+            components[name] = component.model_copy(
+                update={"inputs": (), "intercept": zero, "slope": zero, "reference": nothing, "through_zero": True,
+                        "equation": f"{name} = (0) Y/1000 + (0)   [µm; Y in mm]"}
+            )  # fmt: skip
+    points = tuple(replace(p, key_points=()) if p.axis == "Y" else p for p in analysis.key_points)
+    return replace(analysis, model=analysis.model.model_copy(update={"components": components}), key_points=points)
+
+
+def _two_inputs(component: Component, folder: MachineFolder, parts: Sequence[ComponentSeparation]) -> Component:
+    """The component fitted anew on its own input and theta_14, through zero."""
+    inputs = (*component.inputs, "theta_14")
+    rise = np.column_stack(
+        [np.concatenate([_rise(folder.campaign(s.campaign), i, s.t_s, s.reference_s) for s in parts]) for i in inputs]
+    )
+
+    def term(y: Floats) -> LinearTerm:
+        inverse = np.linalg.inv(rise.T @ rise)
+        coefficient = inverse @ rise.T @ y
+        residual = y - rise @ coefficient
+        variance = float(residual @ residual / (len(y) - 2))
+        covariance = np.zeros((3, 3))
+        covariance[1:, 1:] = variance * inverse
+        return LinearTerm(
+            constant=0.0, coefficients_per_K=(float(coefficient[0]), float(coefficient[1])),
+            covariance=tuple(tuple(float(v) for v in row) for row in covariance), residual_sd=variance**0.5,
+            r_squared=1.0 - float(residual @ residual) / float(((y - y.mean()) ** 2).sum()),
+        )  # fmt: skip
+
+    start = folder.campaign(parts[0].campaign).temperatures.at(np.r_[parts[0].reference_s])[0]
+    sensors = folder.campaign(parts[0].campaign).temperatures.sensor_ids
+    reference = component.reference.model_copy(
+        update={"temperature_degC": {i: float(start[sensors.index(i)]) for i in inputs}}
+    )
+    return component.model_copy(
+        update={"inputs": inputs, "reference": reference, "through_zero": True,
+                "intercept": term(np.concatenate([s.intercept_um for s in parts])),
+                "slope": term(np.concatenate([s.slope_um_per_m for s in parts]))}
+    )  # fmt: skip
+
+
+def two_inputs_analysis() -> Analysis:
+    """A model with two inputs for every component, as the choice of sensors often ends."""
+    analysis = sweeps_analysis()
+    components = {
+        name: _two_inputs(component, analysis.folder, [s for s in analysis.separations if s.component == name])
+        for name, component in analysis.model.components.items()
+    }
+    ranges = {**analysis.model.training.range_degC, "theta_14": (19.0, 31.5)}
+    rises = {**analysis.model.training.range_rise_K, "theta_14": (0.0, 12.0)}
+    training = analysis.model.training.model_copy(update={"range_degC": ranges, "range_rise_K": rises})
+    return replace(analysis, model=analysis.model.model_copy(update={"components": components, "training": training}))
+
+
 KINDS = {
     "sweeps": sweeps_analysis,
     "parameters": parameters_analysis,
@@ -453,4 +516,6 @@ KINDS = {
     "chinese": chinese_analysis,
     "one_state": one_state_analysis,
     "nasty_names": nasty_names_analysis,
+    "no_key_point": no_key_point_analysis,
+    "two_inputs": two_inputs_analysis,
 }

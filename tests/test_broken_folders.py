@@ -16,9 +16,10 @@ from builders import (
     temperature_rows,
     valid_files,
     write_files,
+    write_xlsx,
 )
-from thetacomp.errors import Problem
-from thetacomp.reading import check_folder
+from thetacomp.errors import InputError, Problem
+from thetacomp.reading import check_folder, read_positions, read_temperatures
 
 C = "campaigns/c"
 HEAT, SWEEPS, DRIFT, DUTY, LINES = (f"{C}/{t}.csv" for t in ("temperatures", "sweeps", "drift", "duty", "parameters"))
@@ -147,8 +148,31 @@ BROKEN = [
            "there are campaigns/ and a recording.toml"),
     Broken("sweeps and parameters", content(LINES, csv_text(parameter_rows())), "two-sources", C,
            "there are sweeps and already separated parameters"),
-    Broken("nothing measured", content(SWEEPS, None, **{DRIFT: None}), "nothing-measured", C,
-           "no sweeps, drift or parameters", severity="warning"),
+    Broken("nothing measured", content(SWEEPS, None, **{DRIFT: None}), "nothing-measured", "campaigns",
+           "add sweeps.csv (errors over position), parameters.csv (separated lines) or drift.csv"),
+    Broken("text without quotes", replaced(SETTINGS, ('mode = "no cooling"', "mode = 3")), "bad-value", SETTINGS,
+           "mode = 3, expected a text in double quotes"),
+    Broken("number in quotes", replaced(SETTINGS, ("instrument_u_um = 15.0", 'instrument_u_um = "wide"')), "bad-value",
+           SETTINGS, "instrument_u_um = 'wide', expected a number, without quotes"),
+    Broken("travel is one number", replaced("machine.toml", ("travel_mm = [0.0, 1000.0]", "travel_mm = 1000.0")),
+           "bad-value", "machine.toml", "travel_mm = 1000.0, expected a list in square brackets"),
+    Broken("travel of three numbers", replaced("machine.toml", ("[0.0, 1000.0]", "[0.0, 500.0, 1000.0]")),
+           "bad-value", "machine.toml", "expected a list in square brackets"),
+    # headers as people write them
+    Broken("unit in brackets", replaced(HEAT, ("theta_1", "theta_1 (°C)")), "unknown-sensor", HEAT,
+           "'theta_1 (°C)' (did you mean 'theta_1'?)", 1, "theta_1 (°C)"),
+    Broken("unit in square brackets", replaced(SWEEPS, ("dX_um", "dX [µm]")), "unknown-column", SWEEPS,
+           "'dX [µm]' (did you mean 'dX_um'?)", 1, "dX [µm]"),
+    Broken("position with its unit apart", replaced(SWEEPS, ("position_mm", "Position (mm)")), "unknown-column",
+           SWEEPS, "'Position (mm)' (did you mean 'position_mm'?)", 1, "Position (mm)", only=False),
+    Broken("German time", replaced(HEAT, ("t_s", "Zeit [s]")), "unknown-sensor", HEAT,
+           "'Zeit [s]' (did you mean 't_s'?)", 1, "Zeit [s]", only=False),
+    Broken("German date", replaced(HEAT, ("t_s", "Datum")), "unknown-sensor", HEAT,
+           "'Datum' (did you mean 'time'?)", 1, "Datum", only=False),
+    Broken("Chinese time", replaced(HEAT, ("t_s", "时间")), "unknown-sensor", HEAT,
+           "'时间' (did you mean 't_s' or 'time'?)", 1, "时间", only=False),
+    Broken("Japanese time", replaced(DRIFT, ("t_s", "時間")), "unknown-column", DRIFT,
+           "'時間' (did you mean 't_s' or 'time'?)", 1, "時間", only=False),
     # text files
     Broken("empty file", content(HEAT, b""), "empty-file", HEAT, "the file is empty"),
     Broken("header only", content(HEAT, heat()), "empty-table", HEAT, "a header but no rows"),
@@ -287,7 +311,7 @@ BROKEN = [
     Broken("two points are no sweep", content(SWEEPS, "t_s,axis,position_mm,dX_um\n0,X,0,1\n30,X,1000,2\n"),
            "sweep-too-short", SWEEPS, "fewer than 3 different positions", 2, "position_mm"),
     Broken("errors in mm under µm", content(DRIFT, "t_s,dX_um\n0,0.0021\n1200,0.1234\n"), "error-unit", DRIFT,
-           "all errors are below 0.123 µm: are they in mm?", severity="warning"),
+           "the largest error is 0.123 µm: are the errors in mm?", severity="warning"),
     Broken("errors beyond 20 mm", content(DRIFT, "t_s,dX_mm\n0,0.5\n1200,123.4\n"), "error-unit", DRIFT,
            "found 123400 µm, expected errors below 20000 µm", 3, "dX_mm"),
     Broken("direction in words", lambda files: {SWEEPS: csv_text([[*r, "direction" if i == 0 else "up"]
@@ -345,6 +369,43 @@ def test_a_broken_folder_is_told_what_where_and_how(tmp_path: Path, case: Broken
     if case.only:
         errors = [p for p in problems if p.severity == "error" and p is not problem]
         assert not errors, errors
+
+
+def test_an_unreadable_sweep_table_is_not_called_absent(tmp_path: Path) -> None:
+    files = valid() | {SWEEPS: str(valid()[SWEEPS]).replace(",X,250,", ",X,abc,", 1)}
+    del files[DRIFT]
+    problems = check_folder(write_files(tmp_path, files))[1]
+    assert {p.code for p in problems} == {"not-a-number"}
+
+
+def test_the_name_of_an_unread_sheet_is_proposed(tmp_path: Path) -> None:
+    files = valid()
+    del files[SWEEPS], files[DRIFT]
+    write_xlsx(write_files(tmp_path, files) / C / "tracker.xlsx", {"Sheet1": sweep_rows()})
+    problems = check_folder(tmp_path)[1]
+    assert [p.code for p in problems] == ["nothing-measured", "unknown-sheet"]
+    assert "rename the sheet to 'sweeps'" in problems[1].fix
+
+
+def test_names_of_sensors_are_not_numbers(tmp_path: Path) -> None:
+    """`T1` and `E5` are made of letters that also occur in dates and numbers."""
+    path = tmp_path / "T3.csv"
+    path.write_text("T1,E5\n20.5,21\n20.6,22\n", encoding="utf-8")
+    with pytest.raises(InputError, match="none of the columns 't_s'"):
+        read_temperatures(path)
+    path.write_text("0,20.5\n60,20.6\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"found the numbers '0', '20\.5'"):
+        read_temperatures(path)
+
+
+def test_positions_of_several_axes_are_not_offered(tmp_path: Path) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text("t_s,axis,position\n0,X,1\n", encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_positions(path)
+    assert "<axis>_mm" not in str(caught.value)
+    page = (Path(__file__).parents[1] / "docs" / "machine_folder.md").read_text(encoding="utf-8")
+    assert "<axis>_mm" not in page[page.index("## Tables for `thetacomp predict`") :]
 
 
 def test_all_problems_come_in_one_go(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 from typer.testing import CliRunner
 
-from small_models import component, document, term
+from small_models import component, document, nothing_predicts, term
 from thetacomp.campaign import Floats, Temperatures
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
@@ -161,8 +161,8 @@ def test_no_drift_in_the_model_is_told() -> None:
         predict(full.model_copy(update={"components": parts}), temperatures(), rows((200, "", 0.0)))
 
 
-def call(tmp_path: Path, positions: str, *more: str, temperature: str = "", sign: str = "stated") -> tuple[int, str]:
-    model().model_copy(update={"sign": sign}).save(tmp_path / "model.json")
+def call(tmp_path: Path, positions: str, *more: str, temperature: str = "", **changes: object) -> tuple[int, str]:
+    model().model_copy(update=changes).save(tmp_path / "model.json")
     text = temperature or "t_s,a,b\n100,21,18\n200,23,19\n300,27,22\n"
     (tmp_path / "T.csv").write_text(text, encoding="utf-8")
     (tmp_path / "P.csv").write_text(positions, encoding="utf-8")
@@ -242,3 +242,78 @@ def test_command_refuses_in_one_clear_message(
     assert code == 1
     assert words in " ".join(output.split())
     assert not (tmp_path / "F.csv").exists()
+
+
+ONE_ROW = "t_s,axis,position_mm\n300,X,500\n"
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ("first_row", "reference: first row of the temperatures, t = 100 s; the error is zero there"),
+        ("model", "reference: the model's own, campaign A at 0 s; the constants of the fit are kept"),
+        ("250", "reference: the temperatures at t = 250 s; the error is zero there"),
+    ],
+)
+def test_command_says_which_reference_it_used(tmp_path: Path, reference: str, words: str) -> None:
+    assert words in call(tmp_path, ONE_ROW, "--reference", reference)[1]
+
+
+def test_command_says_a_reference_in_dates_as_a_date(tmp_path: Path) -> None:
+    positions = "time,axis,position_mm\n2026-03-02T09:30:00,X,500\n"
+    assert "first row of the temperatures, time = 2026-03-02T08:00:00;" in call(tmp_path, positions, temperature=ISO)[1]
+
+
+def test_command_says_which_limit_was_broken_in_how_many_rows(tmp_path: Path) -> None:
+    """Trained: a from 20 to 30 °C, so 31 °C and its rise of 11 K are out; EXX and EYX count a row once."""
+    table = "t_s,a,b\n100,20,18\n200,31,19\n300,20,20\n"
+    positions = "t_s,axis,position_mm\n200,X,500\n300,X,2500\n300,X,-40\n300,Y,10\n"
+    code, output = call(tmp_path, positions, temperature=table)
+    assert code == 0
+    assert "3 rows outside what the model was trained on" in output
+    assert "    a: 1 row outside; values 20 … 31, trained 20 … 30 °C" in output
+    assert "    rise of a: 1 row outside; values 0 … 11, trained 0 … 10 K above the reference" in output
+    assert "    position of X: 2 rows outside; values -40 … 2500, trained 0 … 2000 mm" in output
+    assert "b: " not in output
+    breaches = json.loads(call(tmp_path, positions, "--json", temperature=table)[1])["breaches"]
+    assert [(b["kind"], b["name"], b["rows"]) for b in breaches] == [
+        ("temperature", "a", 1),
+        ("rise", "a", 1),
+        ("position", "X", 2),
+    ]
+
+
+def test_a_gap_is_no_broken_limit(tmp_path: Path) -> None:
+    output = call(
+        tmp_path, "t_s,axis,position_mm\n200,X,500\n", temperature="t_s,a,b\n100,21,18\n200,,19\n300,27,22\n"
+    )[1]
+    assert "row outside;" not in output
+    assert "1 row without a temperature" in output
+
+
+def test_command_names_file_and_spreadsheet_row(tmp_path: Path) -> None:
+    """The header is row 1 and row 3 is blank, so the second row of data is row 4."""
+    code, output = call(tmp_path, "t_s,axis,position_mm\n200,X,2\n,,\n200,Q,2\n")
+    assert code == 1
+    assert "P.csv, row 4: the model has no component for axis 'Q'" in output
+
+
+def test_failed_acceptance_checks_are_one_line_and_the_end_stays_good(tmp_path: Path) -> None:
+    code, output = call(tmp_path, ONE_ROW, failed_checks=("one campaign only", "the clock does better"))
+    assert code == 0
+    assert "NOT FIT FOR USE: 2 acceptance checks failed: one campaign only; the clock does better\n" in output
+    assert "NOT FIT FOR USE" not in call(tmp_path, ONE_ROW)[1]
+
+
+@pytest.mark.parametrize(("reference", "wanted"), [("first_row", 0.0), ("model", 7.0)])
+def test_error_that_no_sensor_predicts_stays_at_its_constant(tmp_path: Path, reference: str, wanted: float) -> None:
+    parts = {**model().components, "EXX": nothing_predicts("EXX", 7.0)}
+    code, output = call(tmp_path, ONE_ROW, "--reference", reference, components=parts)
+    assert code == 0, output
+    assert "No sensor predicts EXX" in output
+    (line,) = written(tmp_path)
+    assert float(line["dX_um"]) == wanted
+    assert float(line["dX_hi_um"]) > wanted
+    assert float(line["dY_um"]) != 0.0  # a has risen by 6 K
+    alone = {"EXX": parts["EXX"]}
+    assert call(tmp_path, ONE_ROW, "--reference", reference, components=alone)[0] == 0

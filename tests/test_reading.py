@@ -47,8 +47,17 @@ ROOT = Path(__file__).parents[1]
 A = "campaigns/a"
 
 
+# A folder without any measured error is refused: tests of temperatures alone set this campaign beside theirs.
+MEASURED = {
+    "campaigns/z/temperatures.csv": csv_text(temperature_rows()),
+    "campaigns/z/drift.csv": csv_text(drift_rows()),
+}
+
+
 def one_campaign(root: Path, files: Mapping[str, str | bytes]) -> Campaign:
-    folder, problems = check_folder(write_files(root, {"machine.toml": MACHINE_TOML, **files}))
+    alone = not any("sweeps" in name or "drift" in name or "parameters" in name for name in files)
+    beside = MEASURED if alone else {}
+    folder, problems = check_folder(write_files(root, {"machine.toml": MACHINE_TOML, **files, **beside}))
     assert folder is not None, problems
     return folder.campaigns[0]
 
@@ -140,7 +149,8 @@ def test_exports_of_german_and_chinese_excel(tmp_path: Path, export: str) -> Non
     rows = temperature_rows()
     rows[0] = ["t_s", *sensors]
     data = mark + csv_text(rows, delimiter, decimal).replace("\n", "\r\n").encode(encoding)
-    campaign = one_campaign(tmp_path, {"machine.toml": machine, f"{A}/temperatures.csv": data})
+    drift = {f"{A}/drift.csv": csv_text(drift_rows())}
+    campaign = one_campaign(tmp_path, {"machine.toml": machine, f"{A}/temperatures.csv": data, **drift})
     assert campaign.temperatures.sensor_ids == sensors
     written = np.array([row[1:] for row in temperature_rows()[1:]], dtype=float)
     np.testing.assert_array_equal(campaign.temperatures.value_degC, written)
@@ -182,7 +192,7 @@ def test_absolute_time_counts_from_the_earliest_of_all_tables(tmp_path: Path, zo
 def test_real_dates_of_excel_parquet_and_pandas(tmp_path: Path) -> None:
     times = [datetime(2026, 3, 4, hour) for hour in range(8, 12)]
     rows: list[list[object]] = [["time", "theta_1"], *([time, 20.5 + i] for i, time in enumerate(times))]
-    write_files(tmp_path, {"machine.toml": MACHINE_TOML})
+    write_files(tmp_path, {"machine.toml": MACHINE_TOML, **MEASURED})
     write_xlsx(tmp_path / A / "log.xlsx", {"temperatures": rows})
     xlsx = read_folder(tmp_path).campaigns[0]
     np.testing.assert_array_equal(xlsx.temperatures.t_s, 3600 * np.arange(4))

@@ -10,7 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from synthetic_analysis import KINDS, drift_analysis, nasty_names_analysis, parameters_analysis, sweeps_analysis
+from synthetic_analysis import (
+    KINDS,
+    drift_analysis,
+    nasty_names_analysis,
+    no_key_point_analysis,
+    parameters_analysis,
+    sweeps_analysis,
+)
 from thetacomp.analysis_result import Analysis
 from thetacomp.report import style, tables, write_report
 from thetacomp.report.page import render_page
@@ -201,7 +208,7 @@ def test_before_and_after_with_baselines_stand_together() -> None:
     assert [t.folded for t in folded] == [True, True]  # one for each campaign
     group = next(g for g in table.groups if g.component == "column deviation X")
     assert group.campaign == "all campaigns"
-    assert [name for name, _ in group.rows] == [
+    assert [line.name for line in group.lines] == [
         "model",
         "clock alone",
         "one key sensor",
@@ -214,11 +221,92 @@ def test_before_and_after_with_baselines_stand_together() -> None:
         assert f">{value:.1f}<" in html
 
 
+def test_states_and_measured_points_are_counted_apart() -> None:
+    """Nine states of 2 x 13 points in each of two campaigns; published lines have eight states and no points."""
+    measured = tables.validation_tables(sweeps_analysis())[0].groups[0].lines[0]
+    assert measured.states == 2 * 9
+    assert measured.points == measured.row.n
+    analysis = parameters_analysis()
+    on_grid = tuple(replace(r, n=8 * 31) if r.component == "EXX" else r for r in analysis.validation)
+    lines = tables.validation_tables(replace(analysis, validation=on_grid))[0].groups[0].lines[0]
+    assert (lines.states, lines.points) == (8, None)
+    assert "248" not in page_of(replace(analysis, validation=on_grid))
+
+
+def test_a_baseline_that_is_the_default_is_told_once() -> None:
+    analysis = parameters_analysis()
+    default = next(r for r in analysis.validation if r.component == "EXX" and r.model == "default")
+    rows = tuple(
+        replace(default, model=r.model) if r.component == "EXX" and r.model in ("one_sensor", "all_sensors") else r
+        for r in analysis.validation
+    )
+    group = tables.validation_tables(replace(analysis, validation=rows))[0].groups[0]
+    assert [line.name for line in group.lines] == [
+        "model",
+        "one key sensor, all sensors",
+        "clock alone",
+        "uncompensated",
+    ]
+    assert group.lines[1].remark == "same as default: only one sensor has readings"
+    assert group.lines[1].remark in page_of(replace(analysis, validation=rows))
+
+
+def test_the_only_sensor_with_readings_was_not_chosen() -> None:
+    text = outline(page_of(parameters_analysis())).text
+    assert "Only sensor with readings: nothing was chosen." in text
+    assert "sensors stay" not in text
+    assert "nothing was chosen" not in outline(page_of(sweeps_analysis())).text
+
+
+def test_residuals_are_named_held_out_and_in_sample() -> None:
+    analysis = sweeps_analysis()
+    html = page_of(analysis)
+    part = analysis.model.components["EXX"]
+    assert part.held_out_um is not None
+    row = html[html.index(part.equation.split(" ")[0] + " = ") :]
+    figures = [f">{value:.1f}<" for value in (*part.held_out_um, *part.residual_um)]
+    assert sorted(row.index(figure) for figure in figures) == [row.index(figure) for figure in figures]
+    assert html.index("residual, held-out") < html.index("residual, in-sample") < html.index("R² in-sample")
+
+
+def test_a_component_without_a_sensor_is_told_beside_its_equation() -> None:
+    analysis = no_key_point_analysis()
+    text = outline(page_of(analysis)).text
+    assert "EXY: no sensor predicts this component; nothing is compensated." in text
+    assert "-0.40" not in text  # a negative R² is no figure to show
+    assert "EXX: no sensor" not in text
+
+
+def test_sections_are_numbered_without_a_gap() -> None:
+    for analysis in (sweeps_analysis(), parameters_analysis()):
+        numbers = [tuple(map(int, n)) for n in re.findall(r"<h3>(\d+)\.(\d+) ", page_of(analysis))]
+        assert numbers == sorted(set(numbers))
+        for chapter in {a for a, _ in numbers}:
+            own = [b for a, b in numbers if a == chapter]
+            assert own == list(range(1, len(own) + 1))
+        assert "<h3>" not in re.sub(r"<h3>\d+\.\d+ ", "", page_of(analysis))
+
+
+def test_one_axis_is_singular() -> None:
+    analysis = sweeps_analysis(campaigns=("a",))
+    machine = analysis.folder.machine.model_copy(update={"axes": analysis.folder.machine.axes[:1]})
+    text = outline(page_of(replace(analysis, folder=replace(analysis.folder, machine=machine)))).text
+    assert "15 sensors, 1 axis, 1 campaign: a" in text
+
+
 def test_headlines_are_the_column_deviations_with_the_clock() -> None:
     lines = tables.headlines(sweeps_analysis())
     assert {line.name for line in lines} == {"column deviation X", "column deviation Z"}
     assert all(line.clock_max_um > line.row.max_after_um for line in lines)
     assert [line.name for line in tables.headlines(drift_analysis(rows=300, campaigns=2))] == ["DY", "DZ", "DX"]
+
+
+def test_a_larger_error_is_called_more() -> None:
+    analysis = parameters_analysis()
+    worse = tuple(replace(r, reduction_percent=-84.2) for r in analysis.validation)
+    html = page_of(replace(analysis, validation=worse))
+    assert "(84.2 % more)" in html
+    assert "% less" not in html
 
 
 def test_long_records_are_thinned_in_the_tables() -> None:

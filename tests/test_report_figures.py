@@ -14,16 +14,19 @@ from matplotlib.text import Text
 from synthetic_analysis import (
     KINDS,
     drift_analysis,
+    no_key_point_analysis,
     one_state_analysis,
     parameters_analysis,
     sweeps_analysis,
+    two_inputs_analysis,
 )
 from thetacomp.machine import Axis, Sensor
 from thetacomp.report import prediction, style
 from thetacomp.report.figures import all_figures
 from thetacomp.report.figures_error import error_over_position
-from thetacomp.report.figures_model import before_and_after, error_over_time, fit_over_temperature
+from thetacomp.report.figures_fit import NOT_PREDICTED, fit_over_temperature
 from thetacomp.report.figures_temperature import correlation_maps, temperatures_over_time
+from thetacomp.report.figures_validation import before_and_after, error_over_time
 from thetacomp.report.rendering import render
 from thetacomp.report.sketch import machine_sketch
 
@@ -35,6 +38,8 @@ SECTIONS = {
     "chinese": COMMON | {"position", "geometry", "correlations"},
     "one_state": COMMON | {"position", "geometry"},
     "nasty_names": COMMON | {"position", "geometry", "correlations"},
+    "no_key_point": COMMON | {"position", "geometry", "correlations"},
+    "two_inputs": COMMON | {"position", "geometry", "correlations"},
 }
 
 
@@ -195,6 +200,69 @@ def test_one_campaign_is_drawn_over_degrees_and_several_over_the_rise() -> None:
     several = fit_over_temperature(sweeps_analysis())[0].figure.axes[4]
     assert one.get_xlabel() == "theta_15 (°C)"
     assert several.get_xlabel() == "rise of theta_15 since the reference (K)"
+
+
+def test_a_component_without_a_sensor_is_drawn_over_time_and_told() -> None:
+    figure = next(f for f in fit_over_temperature(no_key_point_analysis()) if f.name == "fit_Y")
+    for axes in figure.figure.axes[:6]:
+        assert NOT_PREDICTED in {" ".join(t.get_text().split()) for t in axes.texts}
+        assert "R²" not in axes.get_title(loc="left")
+    part = next(s for s in no_key_point_analysis().separations if s.component == "EXY")
+    dots = next(c for c in figure.figure.axes[0].collections if isinstance(c, PathCollection))
+    np.testing.assert_allclose(np.asarray(dots.get_offsets())[:, 0], part.t_s / 3600.0)
+    assert NOT_PREDICTED in figure.caption
+    assert "nothing is compensated" in figure.caption
+
+
+def test_two_inputs_are_drawn_as_measured_against_predicted() -> None:
+    analysis = two_inputs_analysis()
+    figure = fit_over_temperature(analysis)[0]
+    axes = figure.figure.axes[0]
+    part = analysis.separations[0]
+    predicted = prediction.predict_states(analysis, part)
+    assert predicted is not None
+    dots = next(c for c in axes.collections if isinstance(c, PathCollection))
+    np.testing.assert_allclose(dots.get_offsets(), np.column_stack([predicted.intercept_um, part.intercept_um]))
+    diagonal = next(line for line in axes.lines if len(line.get_xdata()) == 13)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(diagonal.get_xdata(), diagonal.get_ydata())
+    assert "predicted from 2 sensors" in axes.get_xlabel()
+    assert "diagonal" in figure.caption
+
+
+def test_a_term_that_chance_explains_is_named_so() -> None:
+    """y = x + noise of 30 sd: the t value is far below 2, so R² in-sample says nothing."""
+    from thetacomp.models.document import LinearTerm
+
+    weak = LinearTerm(
+        constant=0, coefficients_per_K=(1.0,), covariance=((1, 0), (0, 4.0)), residual_sd=30, r_squared=0.1
+    )
+    strong = weak.model_copy(update={"covariance": ((1, 0), (0, 0.01))})
+    worse_than_mean = strong.model_copy(update={"r_squared": -0.2})
+    assert [prediction.explains(t, 8) for t in (weak, strong, worse_than_mean)] == [False, True, False]
+    analysis = parameters_analysis()
+    exx = analysis.model.components["EXX"].model_copy(update={"intercept": weak})
+    model = analysis.model.model_copy(update={"components": {**analysis.model.components, "EXX": exx}})
+    titles = [a.get_title(loc="left") for a in fit_over_temperature(replace(analysis, model=model))[0].figure.axes[:2]]
+    assert titles[0] == "EXX intercept · not explained"
+    assert titles[1].startswith("EXX slope · R² in-sample ")
+
+
+def test_campaigns_are_told_apart_over_time() -> None:
+    figure = error_over_time(sweeps_analysis())[0].figure
+    looks = {(line.get_marker(), line.get_linestyle()) for line in figure.axes[0].lines}
+    assert [len(set(look)) for look in zip(*looks, strict=True)] == [2, 2]  # by marker and by line style
+    assert {"2026-03-02", "2026-03-09"} <= {t.get_text() for t in figure.legends[0].get_texts()}
+
+
+def test_what_got_worse_is_red_and_a_dominated_panel_is_logarithmic() -> None:
+    analysis = parameters_analysis()
+    harmed = replace(
+        next(r for r in analysis.validation if r.model == "default"), max_before_um=1.0, max_after_um=900.0
+    )
+    rows = tuple(harmed if r.model == "default" and r.component == harmed.component else r for r in analysis.validation)
+    axes = before_and_after(replace(analysis, validation=rows))[0].figure.axes[0]
+    assert [line.get_color() for line in axes.lines].count(style.WORSE) == 1
+    assert axes.get_xscale() == "log"
 
 
 def test_before_and_after_shows_the_held_out_figures() -> None:

@@ -14,7 +14,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.separation import separate_campaign
 from thetacomp.separation.geometry import choose_curve, polynomial, smoothing_spline
 from thetacomp.separation.joint import _rate_matrix
-from thetacomp.separation.reference import cold_block_change_K, reference_temperatures_degC, reference_time_s
+from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 
 
 @pytest.mark.timeout(400)
@@ -162,10 +162,66 @@ def test_reference_is_the_end_of_the_cold_block() -> None:
     assert reference_time_s(stated) == 300.0
 
 
-def test_reference_temperature_is_the_mean_of_the_cold_block() -> None:
-    temperatures = Temperatures(np.arange(0.0, 1000.0, 100.0), ("a",), np.arange(10.0)[:, None])
-    campaign = Campaign("c", CampaignSettings(), temperatures, sweeps=None, drift=None)
-    assert reference_temperatures_degC(campaign, 250.0) == pytest.approx([2.5])
+@pytest.mark.parametrize("reference_s", [1200.0, 2400.0, 3500.0])
+def test_the_end_of_the_cold_block_does_not_move_the_zero(reference_s: float) -> None:
+    """The zero was measured by the cold sweep; a later reference_s names the same cold sweep and the same answer."""
+    campaign, truth = measured_campaign(np.random.default_rng(9), sweeps=4, outlier_share=0.0)
+    plain = separate_campaign(MACHINE, campaign)[0]
+    told = campaign.settings.model_copy(update={"reference_s": reference_s})
+    later = separate_campaign(MACHINE, replace(campaign, settings=told))[0]
+    assert later.intercept_um == pytest.approx(plain.intercept_um)
+    assert later.zero_t_s.mean() == pytest.approx(600.0)
+    assert truth.reference_s == 1200.0
+
+
+def test_a_reference_inside_a_sweep_is_refused() -> None:
+    campaign, _ = measured_campaign(np.random.default_rng(9), sweeps=4)
+    told = campaign.settings.model_copy(update={"reference_s": 4000.0})
+    with pytest.raises(AnalysisError, match=r"reference_s = 4000 lies inside a sweep of axis Y \(3600 to 4800 s\)"):
+        separate_campaign(MACHINE, replace(campaign, settings=told))
+
+
+def test_stations_and_a_common_datum_are_refused_for_sweeps() -> None:
+    campaign, _ = measured_campaign(np.random.default_rng(9), sweeps=3)
+    assert campaign.sweeps is not None
+    n = len(campaign.sweeps.t_s)
+    moved = replace(campaign.sweeps, station=("A",) * (n // 2) + ("B",) * (n - n // 2))
+    with pytest.raises(AnalysisError, match="come from the stations A, B"):
+        separate_campaign(MACHINE, replace(campaign, sweeps=moved))
+    common = campaign.settings.model_copy(update={"datum": "common"})
+    with pytest.raises(AnalysisError, match="cannot be kept by sweeps"):
+        separate_campaign(MACHINE, replace(campaign, settings=common))
+
+
+def test_rows_with_another_p0_are_the_same_line() -> None:
+    table = Parameters(
+        t_s=np.array([0.0, 3600.0]),
+        component=("EXX", "EXX"),
+        intercept_um=np.array([0.0, 30.0]),
+        slope_um_per_m=np.array([0.0, 10.0]),
+        p0_mm=np.array([0.0, 1000.0]),
+        p_min_mm=np.zeros(2),
+        p_max_mm=np.full(2, 2000.0),
+    )
+    (exx,) = separate_campaign(MACHINE, Campaign("c", CampaignSettings(), _temperatures(), parameters=table))
+    assert exx.line_um(1, np.array([1000.0])) == pytest.approx([30.0])
+    common = CampaignSettings(datum="common")
+    shifted = replace(table, intercept_um=np.array([5.0, 30.0]))
+    (kept,) = separate_campaign(MACHINE, Campaign("c", common, _temperatures(), parameters=shifted))
+    assert kept.intercept_um[0] == 5.0
+
+
+def test_a_gap_in_the_temperatures_stays_a_gap() -> None:
+    t_s = np.arange(0.0, 7200.0, 60.0)
+    value = np.column_stack([t_s / 100.0, t_s / 100.0])
+    value[(t_s > 1000) & (t_s < 3000), 0] = np.nan
+    value[30, 1] = np.nan
+    at = Temperatures(t_s, ("a", "b"), value).at(np.array([500.0, 2000.0, 1800.0, 7150.0, 9000.0]))
+    assert at[0] == pytest.approx([5.0, 5.0])
+    assert np.isnan(at[1, 0])
+    assert at[2, 1] == pytest.approx(18.0)
+    assert at[3] == pytest.approx([71.4, 71.4])
+    assert np.isnan(at[4]).all()
 
 
 def test_parameters_are_referred_to_the_cold_state() -> None:

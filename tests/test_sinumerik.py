@@ -15,9 +15,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from small_models import component, document, term, three_axes
+from small_models import component, document, nothing_predicts, term, three_axes
 from thetacomp.cli.main import app
 from thetacomp.compensation.law import laws
+from thetacomp.controllers.ascii_text import ascii_names, ascii_text
+from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik_remarks import differing
 from thetacomp.models.document import ModelDocument
 
 FILES = (
@@ -65,11 +68,13 @@ def load(folder: Path, numbers: dict[int, str]) -> Control:
     """Read the .spf and .ini as a control and an engineer would; `numbers` is AXn -> channel axis."""
     control = Control()
     for line in (folder / FILES[0]).read_text(encoding="ascii").splitlines():
-        if match := re.match(
-            r"; (K0\[\w+\]|tanbeta\[\w+\]|weight\[\d+\]).*? (=|\+) (-?[\d.]+)(?: \* \((\S+) - (-?[\d.]+)\))?$", line
-        ):
-            register, _, factor, sensor, reference = match.groups()
-            control.laws.setdefault(register, []).append((float(factor), sensor or "", float(reference or 0)))
+        if match := re.match(r"; (K0\[\w+\]|tanbeta\[\w+\]|weight\[\d+\]) [^=]*= (-?[\d.]+)(.*)$", line):
+            register, constant, rest = match.groups()
+            terms = re.findall(r" ([+-]) ([\d.]+) \* \((\S+) - (-?[\d.]+)\)", rest)
+            assert "".join(f" {s} {f} * ({name} - {r})" for s, f, name, r in terms) == rest, line
+            assert register not in control.laws
+            control.laws[register] = [(float(constant), "", 0.0)]
+            control.laws[register] += [(float(s + f), name, float(r)) for s, f, name, r in terms]
         elif match := re.match(r"\$SA_TEMP_COMP_REF_POSITION\[(\w+)\]=(\S+)", line):
             control.p0_mm[match[1]] = float(match[2])
         elif match := re.match(r"(\$\w+\[\w+\])=(\S+)", line):
@@ -91,6 +96,13 @@ def export(tmp_path: Path, model: ModelDocument, toml: str = "", expect: int = 0
     result = CliRunner().invoke(app, [*arguments, "--settings", str(tmp_path / "export.toml")])
     assert result.exit_code == expect, result.output
     return tmp_path / "out"
+
+
+def console(tmp_path: Path) -> tuple[int, str]:
+    """The end and the words of the export of the model that `export` has saved."""
+    arguments = ["export", str(tmp_path / "model.json"), "--target", "sinumerik", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, arguments)
+    return result.exit_code, result.output
 
 
 def states(model: ModelDocument) -> list[dict[str, float]]:
@@ -190,7 +202,7 @@ def test_drift_counts_once_and_the_choice_is_a_setting(tmp_path: Path) -> None:
     wanted = errors_um(model, degC, {"X": 0.0, "Y": 0.0, "W": 0.0})["EXY"]  # at P0 of Y
     assert 1e3 * control.compensation_mm("X1", degC, p0) == pytest.approx(wanted, abs=0.05)
     sheet = (folder / FILES[3]).read_text(encoding="utf-8")
-    left_out = sheet[sheet.index("The drift counts once") : sheet.index("What is proven")]
+    left_out = sheet[sheet.index("6 The drift counts once") : sheet.index("What is proven")]
     assert re.findall(r"<tr><td>(E\w\w)</td>", left_out) == ["EXX", "EYX", "EZX", "EZY", "EXW", "EYW"]
 
 
@@ -371,8 +383,16 @@ def test_sheet_stands_alone_and_is_well_formed(tmp_path: Path) -> None:
     ("toml", "words"),
     [
         ("sign_cec = 2", "sign_cec"),
-        ("sing_cec = 1", "known settings are sign_temperature"),
-        ("reserve = 0.5", "reserve"),
+        ("sign_cec = 2", "sign_cec = 2: expected 1 or -1."),
+        ("sing_cec = 1", "unknown setting 'sing_cec', did you mean sign_cec?"),
+        ("rate = 1", "unknown setting 'rate', did you mean rate_limit_um_per_s?"),
+        ("qqq = 1", "unknown setting 'qqq'. Fix: known settings are sign_temperature"),
+        ("reserve = 0.5", "reserve = 0.5: expected a value at least 1"),
+        ("rate_limit_um_per_s = 'slow'", "rate_limit_um_per_s = 'slow': expected a number."),
+        ("first_cec_table = 1.5", "first_cec_table = 1.5: expected a whole number."),
+        ("axis_name = 3", "axis_name = 3: expected a table."),
+        ("[axis_name]\nX = 1", "axis_name.X = 1: expected a text in quotes."),
+        ("[drift_source]\nQ = 'EXX'", "drift_source.Q: this key is not known here, expected 'X', 'Y' or 'Z'."),
         ("= 3", "not readable as TOML"),
         ("[axis_name]\nV = 'V1'", "the model has no axis V"),
         ("[axis_name]\nX = 'X 1'", "axis_name.X"),
@@ -394,6 +414,7 @@ def test_wrong_settings_are_told(tmp_path: Path, toml: str, words: str) -> None:
     assert result.exit_code == 1
     assert words in result.output
     assert "export.toml" in result.output
+    assert not re.search("Input should|not permitted|a valid ", result.output)
     assert not (tmp_path / "out").exists()
 
 
@@ -421,7 +442,10 @@ def test_direction_without_an_axis_is_said(tmp_path: Path) -> None:
     folder = export(tmp_path, document({"Y": "+Y"}, {"EXY": exy, "EYY": eyy}, {"t": (0.0, 5.0)}))
     assert not (folder / FILES[1]).exists()
     sheet = (folder / FILES[3]).read_text(encoding="utf-8")
-    assert "Not exported</b>, because no axis moves along their direction: EXY" in sheet
+    # 5 K: 5 µm, and 10 µm/m x 1 m at the end of the travel.
+    sentence = "not exported: EXY, up to 15 µm at the warmest state, because no axis moves along X."
+    assert sentence in sheet
+    assert sentence in console(tmp_path)[1]
 
 
 def test_drift_component_alone_becomes_k0(tmp_path: Path) -> None:
@@ -429,3 +453,201 @@ def test_drift_component_alone_becomes_k0(tmp_path: Path) -> None:
     control = load(export(tmp_path, document({"X": "+X"}, {"DX": dx}, {"t": (0.0, 5.0)})), {1: "X1"})
     assert control.machine_data["$MA_TEMP_COMP_TYPE[X1]"] == "1"
     assert control.compensation_mm("X1", {"t": 25.0}, {"X1": 0.0}) == pytest.approx(0.020)
+
+
+FAILED = ("axis X: campaigns: 1 (must be ≥ 2)", "axis Y: residual RMS 31 µm, clock 24 µm")
+
+
+def test_failed_acceptance_checks_are_told_everywhere_and_end_with_3(tmp_path: Path) -> None:
+    model = three_axes().model_copy(update={"failed_checks": FAILED})
+    folder = export(tmp_path, model, expect=3)
+    for name in FILES[:2]:
+        head = "".join((folder / name).read_text(encoding="ascii").splitlines(keepends=True)[:8])
+        assert "NOT FIT FOR USE: the model failed 2 acceptance checks" in head
+        assert "campaigns: 1 (must be >= 2)" in head
+        assert "residual RMS 31 um, clock 24 um" in head
+    sheet = (folder / FILES[3]).read_text(encoding="utf-8")
+    banner = sheet[sheet.index('<div class="banner">NOT FIT FOR USE') : sheet.index("1 What goes where")]
+    code, words = console(tmp_path)
+    assert code == 3
+    assert "NOT FIT FOR USE: The model failed 2 acceptance checks." in words
+    assert "nothing is compensated before" not in words
+    for sentence in FAILED:
+        assert sentence in banner
+        assert sentence in words
+
+
+def test_error_that_no_sensor_predicts_is_not_compensated(tmp_path: Path) -> None:
+    """EXX has no input: the drift of X comes from the sweep along Y, X has no tanβ; the rest is as without EXX."""
+    model = three_axes()
+    parts = {**model.components, "EXX": nothing_predicts("EXX", 7.0)}
+    folder = export(tmp_path, model.model_copy(update={"components": parts}))
+    control = load(folder, {1: "X1", 2: "Y1", 3: "W1"})
+    assert control.machine_data["$MA_TEMP_COMP_TYPE[X1]"] == "1"
+    assert "tanbeta[X1]" not in control.laws
+    assert [name for _, name, _ in control.laws["K0[X1]"]] == ["", "ty", "oil"]
+    sentence = "no sensor predicts EXX: not compensated (up to 40 µm in the training states)."
+    assert sentence in console(tmp_path)[1]
+    assert sentence in (folder / FILES[3]).read_text(encoding="utf-8")
+
+
+def test_nothing_to_export_is_one_clear_message(tmp_path: Path) -> None:
+    parts = {name: nothing_predicts(name) for name in ("EXX", "EYX")}
+    document({"X": "+X", "Y": "+Y"}, parts, {}).save(tmp_path / "model.json")
+    code, words = console(tmp_path)
+    assert code == 1
+    assert "nothing can be exported: no sensor predicts EXX, EYX." in words
+    exy = component("EXY", term(0.0, 1.0), term(0.0, 2.0), {"t": 20.0})
+    document({"Y": "+Y"}, {"EXY": exy}, {"t": (0.0, 5.0)}).save(tmp_path / "model.json")
+    assert "no axis corrects EXY (no axis along X)" in console(tmp_path)[1]
+    assert not (tmp_path / "out").exists()
+
+
+def test_drift_source_that_no_sensor_predicts_is_refused(tmp_path: Path) -> None:
+    model = three_axes()
+    parts = {**model.components, "EXY": nothing_predicts("EXY")}
+    export(tmp_path, model.model_copy(update={"components": parts}), "[drift_source]\nX = 'EXY'\n", expect=1)
+
+
+def drifts(other_um_per_K: float, dof: int = 8, sd: float = 3.0) -> ModelDocument:
+    """EXX drifts by +10 µm/K, EXY otherwise; 10 K are the warmest state."""
+    t = {"t": 20.0}
+    parts = {
+        "EXX": component("EXX", term(0.0, 10.0, sd=4.0), term(0.0, 1.0), t, dof=8),
+        "EXY": component("EXY", term(0.0, other_um_per_K, sd=sd), term(0.0, 1.0), t, dof=dof),
+    }
+    return document({"X": "+X", "Y": "+Y"}, parts, {"t": (0.0, 10.0)})
+
+
+def test_drift_that_does_not_agree_is_named_with_both_values(tmp_path: Path) -> None:
+    """t(0.975, 8) = 2.306: the bound of the difference is 2.306 √(4² + 3²) = 11.5 µm."""
+    folder = export(tmp_path, drifts(-14.5))
+    code, words = console(tmp_path)
+    told = "K0[X1] carries the intercept of EXX, +100 µm at the warmest state,"
+    told += " while EXY, from the sweep along Y, has −145 µm there"
+    assert code == 0
+    assert told in words
+    assert "(95 % bound of the difference: ±12 µm)" in words
+    assert "the tool stands 245 µm wrong" in words
+    sheet = (folder / FILES[3]).read_text(encoding="utf-8")
+    assert told in sheet[: sheet.index("2 Steps")]
+
+
+def test_worst_pair_is_named_of_several(tmp_path: Path) -> None:
+    """Model of nine errors: EXY at its warmest +143 µm against EXX -188 µm, EZY -220 µm against EZW +101 µm, …"""
+    export(tmp_path, three_axes())
+    found = differing(make_plan(three_axes(), SinumerikSettings()))
+    assert len(found) > 2
+    assert found[0] == max(found, key=lambda one: abs(one.difference_um))
+    words = console(tmp_path)[1]
+    assert f"while {found[0].component}, from the sweep" in words
+    assert f"{len(found) - 1} more such pairs are in part 6" in words
+
+
+@pytest.mark.parametrize(("other", "differs"), [(11.1, False), (11.2, True), (8.9, False), (8.8, True)])
+def test_drift_agrees_within_the_95_percent_bound(other: float, differs: bool) -> None:
+    (left_out,) = make_plan(drifts(other), SinumerikSettings()).left_out
+    assert left_out.bound_um == pytest.approx(2.306 * 5, abs=0.01)
+    assert left_out.differs is differs
+
+
+def test_bound_without_a_degree_of_freedom_claims_nothing(tmp_path: Path) -> None:
+    folder = export(tmp_path, drifts(-30.0, dof=0))
+    assert "DRIFT" not in console(tmp_path)[1]
+    assert "cannot be told" in (folder / FILES[3]).read_text(encoding="utf-8")
+
+
+def test_held_out_figures_stand_before_those_of_the_training(tmp_path: Path) -> None:
+    model = three_axes()
+    parts = dict(model.components)
+    parts["EXX"] = parts["EXX"].model_copy(update={"held_out_um": (18.25, 31.04, 44.0), "residual_um": (3.3, 6.6)})
+    folder = export(tmp_path, model.model_copy(update={"components": parts}))
+    sheet = (folder / FILES[3]).read_text(encoding="utf-8")
+    valid = sheet[sheet.index("8 Where this is valid") :]
+    heads = re.findall(r"<th>([^<]*)</th>", valid)[4:9]
+    assert heads == [f"Held-out {k}, µm" for k in ("RMS", "p95", "max")] + [
+        f"In-sample {k}, µm" for k in ("RMS", "max")
+    ]
+    rows = {row[0]: row[4:] for row in (re.findall(r"<td[^>]*>([^<]*)</td>", r) for r in valid.split("<tr>")) if row}
+    assert rows["EXX"] == ["18.2", "31.0", "44.0", "3.3", "6.6"]
+    assert rows["EYX"] == ["–", "–", "–", "1.0", "2.0"]
+
+
+def test_law_is_one_line_a_register_in_seven_digits(tmp_path: Path) -> None:
+    """A reference keeps two decimals only while that moves the register by less than 0.05 µm.
+
+    21.9744 to 21.97 is 4.4 mK: at 27.7 µm/K 0.12 µm, too much, and 21.974 does 0.011 µm; at 3 µm/K it does 0.013 µm.
+    """
+    t = {"t": 21.9744}
+    exx = component("EXX", term(3.6, -27.700012345), term(0.0, 1.0), t)
+    eyy = component("EYY", term(3.6, 3.0), term(0.0, 1.0), t)
+    folder = export(tmp_path, document({"X": "+X", "Y": "+Y"}, {"EXX": exx, "EYY": eyy}, {"t": (0.0, 5.0)}))
+    lines = (folder / FILES[0]).read_text(encoding="ascii").splitlines()
+    assert "; K0[X1] mm (EXX) = 0.0036 - 0.02770001 * (t - 21.974)" in lines
+    assert "; K0[Y1] mm (EYY) = 0.0036 + 0.003 * (t - 21.97)" in lines
+    assert "; reference: campaign A at 0 s; capture anew at each datum set, see sheet" in lines
+    sheet = (folder / FILES[3]).read_text(encoding="utf-8")
+    assert "<code>0.0036 − 0.02770001·(t − 21.974)</code>" in sheet
+
+
+def test_long_laws_stay_below_the_block_limit_of_the_control(tmp_path: Path) -> None:
+    sensors = {f"temperature_of_bearing_{i:02d}": 20.0 + i / 7 for i in range(16)}
+    exx = component("EXX", term(1.0, *[1.23456789 + i for i in range(16)]), term(0.0, *[0.1] * 16), sensors, dof=3)
+    folder = export(tmp_path, document({"X": "+X"}, {"EXX": exx}, dict.fromkeys(sensors, (0.0, 5.0))))
+    lines = (folder / FILES[0]).read_text(encoding="ascii").splitlines()
+    laws_and_more = lines[: next(i for i, line in enumerate(lines) if "--- 4" in line)]
+    assert max(map(len, laws_and_more)) < 512
+    assert sum("temperature_of_bearing_15" in line for line in laws_and_more) == 2
+
+
+def test_machine_names_are_spelled_in_ascii_or_left_out(tmp_path: Path) -> None:
+    model = three_axes()
+    export(tmp_path, model.model_copy(update={"machine": "Fräse Größe 5"}))
+    spf = (tmp_path / "out" / FILES[0]).read_text(encoding="ascii")
+    assert "; machine Fraese Groesse 5; model of" in spf
+    export(tmp_path, model.model_copy(update={"machine": "镗床"}))
+    spf = (tmp_path / "out" / FILES[0]).read_text(encoding="ascii")
+    assert "; model of 2026-03-02T10:00:00, trained on A" in spf
+    assert "\\u" not in spf
+
+
+def test_ascii_names_stay_apart() -> None:
+    assert ascii_text("θ₁₅ ≥ 3 µm, 20 °C − Ø") == "theta15 >= 3 um, 20 degC - "
+    names = ascii_names(["Öl", "Oel", "镗", "床", "θ_1"], "sensor")
+    assert list(names.values()) == ["sensor_1", "Oel", "sensor_3", "sensor_4", "theta_1"]
+
+
+def test_sheet_says_how_the_ascii_files_name_a_sensor(tmp_path: Path) -> None:
+    exx = component("EXX", term(0.0, 1.0), term(0.0, 1.0), {"θ_öl": 20.0})
+    folder = export(tmp_path, document({"X": "+X"}, {"EXX": exx}, {"θ_öl": (0.0, 5.0)}))
+    assert "Names in the ASCII files: θ_öl = theta_oel." in (folder / FILES[3]).read_text(encoding="utf-8")
+    assert "(theta_oel - 20.00)" in (folder / FILES[0]).read_text(encoding="ascii")
+
+
+def test_unproven_sign_is_proven_first_in_a_step_of_its_own(tmp_path: Path) -> None:
+    """W runs along -Z: 10 µm further along W are -10 µm of error in Z."""
+    sheet = (export(tmp_path, three_axes("unproven"), expect=3) / FILES[3]).read_text(encoding="utf-8")
+    step = sheet[sheet.index("Step 0: prove the sign") : sheet.index("<ol>")]
+    assert '<code>sign = "stated"</code> into campaign.toml of A' in step
+    assert "Result:" in step
+    rows = [re.findall(r"<td[^>]*>([^<]*)", row) for row in step.split("<tr>")[2:]]
+    assert [(row[0], row[2], row[3]) for row in rows] == [
+        ("X (direction +X)", "dX_um", "+10.0"),
+        ("Y (direction +Y)", "dY_um", "+10.0"),
+        ("W (direction -Z)", "dZ_um", "−10.0"),
+    ]
+    assert "Step 0" not in (export(tmp_path, three_axes()) / FILES[3]).read_text(encoding="utf-8")
+
+
+def test_without_a_cross_error_nothing_speaks_of_cec(tmp_path: Path) -> None:
+    exx = component("EXX", term(0.0, 1.0), term(0.0, 1.0), {"t": 20.0})
+    folder = export(tmp_path, document({"X": "+X"}, {"EXX": exx}, {"t": (0.0, 5.0)}))
+    for file in folder.iterdir():
+        assert not re.search(r"cec|sag comp|SD41310|\bweight of", file.read_text(encoding="utf-8"), re.IGNORECASE), file
+
+
+def test_an_older_cec_file_is_pointed_out(tmp_path: Path) -> None:
+    export(tmp_path, three_axes())
+    exx = component("EXX", term(0.0, 1.0), term(0.0, 1.0), {"t": 20.0})
+    export(tmp_path, document({"X": "+X"}, {"EXX": exx}, {"t": (0.0, 5.0)}))
+    assert "An older sinumerik_cec.ini is still in" in console(tmp_path)[1]

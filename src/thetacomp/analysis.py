@@ -65,8 +65,8 @@ def analyze_folder(
     progress("choosing key points and fitting")
     procedure, paper = default_procedure(folder.machine), paper_procedure(folder.machine)
     fitted = _fit(training, procedure)
-    fitted_paper = _fit(training, paper)
-    notes = _notes(campaigns, separations) + findings
+    fitted_paper = _fit_where_possible(training, paper)
+    notes = _notes(campaigns, separations) + _dropped_notes(separations, everything) + findings
     model = build_document(folder, fitted, "default: weighted key points, least squares", train, notes)
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
 
@@ -110,13 +110,17 @@ def _chosen(folder: MachineFolder, train: Sequence[str], test: Sequence[str]) ->
             f"there is no campaign {', '.join(unknown)}; the folder has {', '.join(known)}."
             " Fix: use these names with --train and --test."
         )
+    twice = sorted({name for names in (train, test) for name in names if list(names).count(name) > 1})
+    if twice:
+        raise AnalysisError(f"campaign {', '.join(twice)} is named twice. Fix: name every campaign once.")
     both = sorted(set(train) & set(test))
     if both:
         raise AnalysisError(f"campaign {', '.join(both)} is named in --train and in --test. Fix: name it once.")
-    chosen = [name for name in (train or known) if name not in set(test)]
+    # In the order of the folder, which is the order of time for the forward split.
+    chosen = [name for name in known if name in set(train or known) and name not in set(test)]
     if not chosen:
         raise AnalysisError("no campaign is left for training. Fix: leave one out of --test.")
-    return chosen, list(test)
+    return chosen, [name for name in known if name in set(test)]
 
 
 def _refuse_mixtures(campaigns: Sequence[Campaign]) -> None:
@@ -138,6 +142,41 @@ def _refuse_mixtures(campaigns: Sequence[Campaign]) -> None:
 
 def _fit(training: Sequence[AxisStates], procedure: Procedure) -> list[tuple[AxisStates, AxisModel]]:
     return [(states, procedure(states)) for states in training]
+
+
+def _fit_where_possible(training: Sequence[AxisStates], procedure: Procedure) -> list[tuple[AxisStates, AxisModel]]:
+    """The paper's model stands beside ours: an axis that it cannot serve does not stop the analysis."""
+    fitted = []
+    for states in training:
+        try:
+            fitted.append((states, procedure(states)))
+        except AnalysisError:
+            continue
+    return fitted
+
+
+def _dropped_notes(separations: Sequence[ComponentSeparation], everything: Sequence[AxisStates]) -> tuple[str, ...]:
+    """Components that were measured in some campaigns of their axis only: they are not in the model."""
+    kept = {component for states in everything for component in states.components}
+    measured: dict[str, list[str]] = {}
+    for s in separations:
+        measured.setdefault(s.component, []).append(s.campaign)
+    return tuple(
+        f"{component} was measured in {', '.join(names)} only, not in all campaigns of its axis: it is not modelled"
+        for component, names in measured.items()
+        if component not in kept
+    )
+
+
+def _position_notes(campaigns: Sequence[Campaign]) -> list[str]:
+    """Positions of the other axes that the model of this version does not use."""
+    return [
+        f"campaign {campaign.name}: positions of other axes during a sweep ({', '.join(campaign.sweeps.at_mm)}) are not"
+        " used: an intercept holds the tilt of the other axes at those positions, and the drift of one direction is"
+        " exported from one sweep only"
+        for campaign in campaigns
+        if campaign.sweeps is not None and campaign.sweeps.at_mm
+    ]
 
 
 def _validate(
@@ -220,6 +259,7 @@ def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparat
         if c.settings.active_tables
     ]
     notes += [note for campaign in campaigns for note in _cold_notes(campaign)]
+    notes += _position_notes(campaigns)
     notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]
     return tuple(dict.fromkeys(notes))
 

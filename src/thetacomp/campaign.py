@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 CARTESIAN = ("X", "Y", "Z")
+GAP_INTERVALS = 3.0
+GAP_S = 600.0
 
 
 class CampaignSettings(Strict):
@@ -48,13 +50,22 @@ class Temperatures:
     def at(self, t_s: Floats) -> Floats:
         """Temperatures at other times, shape (len(t_s), sensors): linear between samples, held at the ends.
 
-        Missing samples of a sensor are bridged by its neighbours in time; a sensor without any sample stays NaN.
+        A missing sample is bridged by its neighbours; a gap of more than three sampling intervals and ten minutes
+        stays a gap (NaN), at the ends too. A sensor without any sample is NaN throughout.
         """
+        interval_s = float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
+        limit_s = max(GAP_INTERVALS * interval_s, GAP_S)
         out = np.full((len(t_s), len(self.sensor_ids)), np.nan)
         for j in range(len(self.sensor_ids)):
             good = np.isfinite(self.value_degC[:, j])
             if good.any():
-                out[:, j] = np.interp(t_s, self.t_s[good], self.value_degC[good, j])
+                known_s = self.t_s[good]
+                after = np.clip(np.searchsorted(known_s, t_s), 0, len(known_s) - 1)
+                before = np.maximum(after - 1, 0)
+                between = (t_s > known_s[before]) & (t_s < known_s[after])
+                far = between & (known_s[after] - known_s[before] > limit_s)
+                far |= (t_s - known_s[-1] > limit_s) | (known_s[0] - t_s > limit_s)
+                out[:, j] = np.where(far, np.nan, np.interp(t_s, known_s, self.value_degC[good, j]))
         return out
 
 
@@ -62,7 +73,8 @@ class Temperatures:
 class SweepPoints:
     """All points of all sweeps of a campaign, in order of time, n points.
 
-    `sweep` counts the sweeps from 0 in order of time; `direction` is the approach, +1 or -1 (0: not known).
+    `sweep` counts the sweeps from 0 in order of time; `direction` is the approach, +1 or -1 (0: not known);
+    `direction_given` is False where some of it was inferred from the motion.
     `error_um` is (n, 3) along machine X, Y, Z; `rotation_urad` (n, 3) about X, Y, Z where it was measured.
     `at_mm` holds the positions of the other axes where they were written down.
     """
@@ -77,6 +89,7 @@ class SweepPoints:
     station: tuple[str, ...] | None = None
     rotation_urad: Floats | None = None
     at_mm: Mapping[str, Floats] = field(default_factory=dict)
+    direction_given: bool = True
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import CARTESIAN, Floats, Temperatures
-from thetacomp.compensation.domain import in_domain
+from thetacomp.compensation.domain import Limit, limits
 from thetacomp.compensation.law import Law, laws
 from thetacomp.errors import AnalysisError
 from thetacomp.models.document import Component, ModelDocument
@@ -38,12 +38,27 @@ class PositionTable(Protocol):
 
 
 @dataclass(frozen=True)
+class Breach:
+    """A limit of the training that some rows break; a row without a value breaks none.
+
+    `kind` is temperature (°C), rise (K) or position (mm), `name` the sensor or the axis. `values` are the least and
+    the largest value of all rows asked for, `trained` those of the training; `rows` counts the rows outside.
+    """
+
+    kind: str
+    name: str
+    rows: int
+    values: tuple[float, float]
+    trained: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Prediction:
     """The predicted error `E = actual - commanded` with its 95 % bounds, n rows.
 
     `error_um`, `lower_um` and `upper_um` are (n, 3) along machine X, Y, Z; NaN where the model has no such component,
     where a temperature is missing, or (bounds only) where the fit had no degree of freedom. `in_domain` is (n,);
-    `missing` (n,) marks rows without a temperature.
+    `missing` (n,) marks rows without a temperature; `breaches` tells why rows lie outside.
     """
 
     t_s: Floats
@@ -54,24 +69,35 @@ class Prediction:
     upper_um: Floats
     in_domain: Bools
     missing: Bools
+    breaches: tuple[Breach, ...]
+
+
+def data_row(i: int) -> str:
+    """How messages name row i of the positions where nothing is known of their file."""
+    return f"positions, data row {i + 1}"
 
 
 def predict(
-    model: ModelDocument, temperatures: Temperatures, positions: PositionTable, reference: Reference = "first_row"
+    model: ModelDocument,
+    temperatures: Temperatures,
+    positions: PositionTable,
+    reference: Reference = "first_row",
+    place: Callable[[int], str] = data_row,
 ) -> Prediction:
     """Predict the error at every row of `positions`.
 
     `reference` is the moment of zero: the first row of the temperatures, a time in s on their clock (both drop the
     constant of the fit, so that the error is exactly zero there), or the reference stored in the model (constant
     kept). Temperatures are linear between samples; a gap stays a gap, and the last sample holds for one sampling
-    interval. Raises AnalysisError where the model cannot answer.
+    interval. An error that no sensor predicts stays at its constant. `place` names row i of the positions in
+    messages. Raises AnalysisError where the model cannot answer.
     """
     wanted = {name: c for name, c in model.components.items() if _asked_for(c, positions)}
-    _check_axes(model, positions, wanted)
+    _check_axes(model, positions, wanted, place)
     cut = model.model_copy(update={"components": wanted})
     inputs = tuple(dict.fromkeys(sensor for component in wanted.values() for sensor in component.inputs))
     columns = _columns(temperatures, inputs)
-    _check_times(temperatures, positions)
+    _check_times(temperatures, positions, place)
     bound = laws(cut, _reference_degC(temperatures, inputs, columns, reference))
     degC = dict(zip(inputs, sampled(temperatures, positions.t_s)[:, columns].T, strict=True))
 
@@ -79,6 +105,7 @@ def predict(
     axis = np.array(positions.axis, dtype=str)
     error_um, lower_um, upper_um = (np.full((n, 3), np.nan) for _ in range(3))
     domain, missing = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    seen: list[tuple[NDArray[np.intp], Limit]] = []
     for law in bound.values():
         rows = np.flatnonzero(axis == (law.component.axis or ""))
         theta = np.array([degC[sensor][rows] for sensor in law.inputs]).reshape(len(law.inputs), len(rows)).T
@@ -86,11 +113,21 @@ def predict(
         error_um[rows, k], half_um = _row_values(law, theta, positions.position_mm[rows])
         lower_um[rows, k], upper_um[rows, k] = error_um[rows, k] - half_um, error_um[rows, k] + half_um
         missing[rows] |= ~np.isfinite(theta).all(axis=1)
-        domain[rows] &= in_domain(law, model.training, theta, positions.position_mm[rows])
+        for limit in limits(law, model.training, theta, positions.position_mm[rows]):
+            domain[rows] &= limit.inside
+            seen.append((rows, limit))
     for values in (error_um, lower_um, upper_um):
         values[missing] = np.nan
     return Prediction(
-        positions.t_s, tuple(positions.axis), positions.position_mm, error_um, lower_um, upper_um, domain, missing
+        t_s=positions.t_s,
+        axis=tuple(positions.axis),
+        position_mm=positions.position_mm,
+        error_um=error_um,
+        lower_um=lower_um,
+        upper_um=upper_um,
+        in_domain=domain,
+        missing=missing,
+        breaches=_breaches(seen),
     )
 
 
@@ -130,6 +167,22 @@ def write_prediction(prediction: Prediction, path: Path) -> None:
             )
 
 
+def _breaches(seen: Sequence[tuple[NDArray[np.intp], Limit]]) -> tuple[Breach, ...]:
+    """One entry a broken limit: errors of one axis share their inputs, and a row counts once."""
+    grouped: dict[tuple[str, str, tuple[float, float]], list[tuple[NDArray[np.intp], Limit]]] = {}
+    for rows, limit in seen:
+        grouped.setdefault((limit.kind, limit.name, limit.trained), []).append((rows, limit))
+    out = []
+    for (kind, name, trained), parts in grouped.items():
+        outside: set[int] = set()
+        for rows, limit in parts:
+            outside |= set(rows[~limit.inside & np.isfinite(limit.value)].tolist())
+        if outside:
+            values = np.concatenate([limit.value for _, limit in parts])
+            out.append(Breach(kind, name, len(outside), (float(np.nanmin(values)), float(np.nanmax(values))), trained))
+    return tuple(out)
+
+
 def _row_values(law: Law, theta_degC: Floats, position_mm: Floats) -> tuple[Floats, Floats]:
     rises_K = law.rises_K(theta_degC)
     half_um = law.half_width_um(rises_K, position_mm)
@@ -140,7 +193,9 @@ def _asked_for(component: Component, positions: PositionTable) -> bool:
     return (component.axis or "") in set(positions.axis)
 
 
-def _check_axes(model: ModelDocument, positions: PositionTable, wanted: dict[str, Component]) -> None:
+def _check_axes(
+    model: ModelDocument, positions: PositionTable, wanted: dict[str, Component], place: Callable[[int], str]
+) -> None:
     known = sorted({component.axis for component in model.components.values() if component.axis})
     answered = {component.axis or "" for component in wanted.values()}
     for i, name in enumerate(positions.axis):
@@ -148,13 +203,11 @@ def _check_axes(model: ModelDocument, positions: PositionTable, wanted: dict[str
             asked = f"axis {name!r}" if name else "drift at a fixed position (axis empty)"
             drift = "drift too (axis empty)" if any(not c.axis for c in model.components.values()) else "no drift"
             raise AnalysisError(
-                f"positions, data row {i + 1}: the model has no component for {asked}."
+                f"{place(i)}: the model has no component for {asked}."
                 f" It knows the axes {', '.join(known) or 'none'}, and {drift}. Fix: name one of these."
             )
         if name and not np.isfinite(positions.position_mm[i]):
-            raise AnalysisError(
-                f"positions, data row {i + 1}: axis {name} without a position_mm. Fix: fill in the position."
-            )
+            raise AnalysisError(f"{place(i)}: axis {name} without a position_mm. Fix: fill in the position.")
 
 
 def _columns(temperatures: Temperatures, inputs: tuple[str, ...]) -> list[int]:
@@ -167,14 +220,14 @@ def _columns(temperatures: Temperatures, inputs: tuple[str, ...]) -> list[int]:
     return [temperatures.sensor_ids.index(sensor) for sensor in inputs]
 
 
-def _check_times(temperatures: Temperatures, positions: PositionTable) -> None:
+def _check_times(temperatures: Temperatures, positions: PositionTable, place: Callable[[int], str]) -> None:
     if not len(temperatures.t_s):
         raise AnalysisError("temperatures: the table has no rows. Fix: give the samples of the time wanted.")
     first_s, last_s = temperatures.t_s[0], temperatures.t_s[-1]
     early = np.flatnonzero(positions.t_s < first_s)
     if len(early):
         raise AnalysisError(
-            f"positions, data row {early[0] + 1}: t_s = {_plain(positions.t_s[early[0]])} lies before the first"
+            f"{place(int(early[0]))}: t_s = {_plain(positions.t_s[early[0]])} lies before the first"
             f" temperature sample at t_s = {_plain(first_s)} ({len(early)} such rows)."
             " Fix: bring both tables to the same clock, or start the temperatures earlier."
         )

@@ -10,7 +10,6 @@ import numpy as np
 
 from thetacomp.campaign import Campaign, Floats, Ints, MachineFolder
 from thetacomp.errors import AnalysisError
-from thetacomp.separation.reference import reference_temperatures_degC, reference_time_s
 from thetacomp.separation.result import Bools, ComponentSeparation
 from thetacomp.temperature.history import HistoryLayout
 from thetacomp.temperature.track import HistoryTrack, history_layout, history_track
@@ -43,7 +42,7 @@ class AxisStates:
 
     `intercept_um` and `slope_um_per_m` are (n, c), referred to the cold state of their campaign; `cold_*` (n, c) is
     what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing values are NaN. `exact_zero` says
-    that S = I = 0 holds exactly at the reference, as separated sweeps do; in separated parameters from elsewhere the
+    that S = I = 0 holds exactly at the reference, as in separated sweeps; in drift and in parameters from elsewhere the
     cold state is a measurement like any other, and with a common datum there is no zero of the campaign's own.
     `history` (n, k) holds lagged temperatures and speeds as differences from the reference, described by `layout`
     (None, and no columns, where no sensor was read in all campaigns).
@@ -136,12 +135,12 @@ def _collect(
             " Fix: choose the campaigns with --train and --test."
         )
     p0_mm = next(s.p0_mm for s in members if s.component == components[0])
-    zero = _common_reference_degC(folder, axis, names)
+    zero = _common_reference_degC(folder, axis, names, members)
     layout = history_layout([folder.campaign(name) for name in names])
     zero_history = None
     if zero is not None:
-        first = folder.campaign(names[0])
-        zero_history = _track(first, layout, reference_time_s(first), None).reference
+        first = next(s for s in members if s.campaign == names[0])
+        zero_history = _track(folder.campaign(names[0]), layout, first.zero_t_s, None).reference
     parts = [
         _campaign_states(folder, name, index, axis, components, members, p0_mm, zero, layout, zero_history)
         for index, name in enumerate(names)
@@ -149,7 +148,9 @@ def _collect(
     return _stack(parts, names)
 
 
-def _common_reference_degC(folder: MachineFolder, axis: str, names: Sequence[str]) -> Floats | None:
+def _common_reference_degC(
+    folder: MachineFolder, axis: str, names: Sequence[str], members: Sequence[ComponentSeparation]
+) -> Floats | None:
     """With a common datum all campaigns count from one temperature: that of the first. Else None: each has its own."""
     settings = {name: folder.campaign(name).settings.datum for name in names}
     if len(set(settings.values())) > 1:
@@ -160,12 +161,13 @@ def _common_reference_degC(folder: MachineFolder, axis: str, names: Sequence[str
         )
     if settings[names[0]] == "campaign":
         return None
-    return _reference_degC(folder.campaign(names[0]), folder.machine.sensor_ids)
+    first = next(s for s in members if s.campaign == names[0])
+    return _zero_degC(folder.campaign(names[0]), folder.machine.sensor_ids, first)
 
 
-def _reference_degC(campaign: Campaign, sensors: tuple[str, ...]) -> Floats:
-    values = reference_temperatures_degC(campaign, reference_time_s(campaign))
-    return np.asarray(_by_sensor(campaign, sensors, values[None, :])[0])
+def _zero_degC(campaign: Campaign, sensors: tuple[str, ...], s: ComponentSeparation) -> Floats:
+    """Temperatures (sensors,) while the zero of the errors was measured: both zeros belong to the same moments."""
+    return np.asarray(_by_sensor(campaign, sensors, campaign.temperatures.at(s.zero_t_s)).mean(axis=0))
 
 
 def _campaign_states(
@@ -196,9 +198,9 @@ def _campaign_states(
         cold_slope[rows, k] = s.cold_slope_um_per_m
         t_s[rows] = s.t_s
         cold[rows] |= s.cold
-    reference_s = own[0].reference_s
-    reference = _reference_degC(campaign, sensors) if zero_degC is None else zero_degC
-    track = _track(campaign, layout, reference_s, zero_history)
+    reference_s = float(own[0].zero_t_s.mean())
+    reference = _zero_degC(campaign, sensors, own[0]) if zero_degC is None else zero_degC
+    track = _track(campaign, layout, own[0].zero_t_s, zero_history)
     return AxisStates(
         axis=axis,
         components=components,
@@ -211,7 +213,7 @@ def _campaign_states(
         p0_mm=p0_mm,
         p_min_mm=min(s.p_min_mm for s in own),
         p_max_mm=max(s.p_max_mm for s in own),
-        exact_zero=zero_degC is None and campaign.parameters is None,
+        exact_zero=zero_degC is None and all(s.points is not None for s in own),
         rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
         reference_degC=np.tile(reference, (n, 1)),
         reference_s=np.full(n, reference_s),
@@ -259,13 +261,13 @@ _BY_ROW = (
 
 
 def _track(
-    campaign: Campaign, layout: HistoryLayout | None, reference_s: float, zero_history: Floats | None
+    campaign: Campaign, layout: HistoryLayout | None, zero_t_s: Floats, zero_history: Floats | None
 ) -> HistoryTrack:
     """History of a campaign; with a common datum it counts from the zero of the first campaign."""
     if layout is None:
         t_s = campaign.temperatures.t_s
         return HistoryTrack(t_s, np.zeros((len(t_s), 0)), np.zeros(0))
-    track = history_track(campaign, layout, reference_s)
+    track = history_track(campaign, layout, zero_t_s)
     return track if zero_history is None else replace(track, reference=zero_history)
 
 
@@ -308,7 +310,7 @@ def _samples(
         state=state,
         lever_m=(position - p0_mm) / 1000.0,
         value_um=value,
-        elapsed_h=(t_s - s.reference_s) / 3600.0,
+        elapsed_h=(t_s - s.zero_t_s.mean()) / 3600.0,
         rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
         noise_sd_um=np.full(len(t_s), noise),
         history=track.at(t_s),

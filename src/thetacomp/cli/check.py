@@ -42,19 +42,23 @@ def _check(path: Path) -> Outcome:
 
 
 def _summary_lines(summary: FolderSummary) -> list[str]:
-    axes = ", ".join(summary.axes) or "none"
-    head = f"{summary.machine}: axes {axes}; {summary.sensors} sensors; {len(summary.campaigns)} campaigns"
+    axes = f"{'axis' if len(summary.axes) == 1 else 'axes'} {', '.join(summary.axes) or 'none'}"
+    head = (
+        f"{summary.machine}: {axes}; {_count(summary.sensors, 'sensor')}; {_count(len(summary.campaigns), 'campaign')}"
+    )
     return [head, *(_campaign_line(campaign) for campaign in summary.campaigns)]
 
 
 def _campaign_line(campaign: CampaignSummary) -> str:
     tables = []
     for name, points in campaign.points.items():
-        text = f"{name} {points} rows"
+        text = f"{name} {_count(points, 'row')}"
         if name == "temperatures":
-            text += f" of {campaign.sensors} sensors"
+            text += f" of {_count(campaign.sensors, 'sensor')}"
         if name == "sweeps":
-            text += f" in {', '.join(f'{count} × {axis}' for axis, count in campaign.sweeps.items())} sweeps"
+            text += f" in {', '.join(f'{count} × {axis}' for axis, count in campaign.sweeps.items())}"
+            text += " sweep" if sum(campaign.sweeps.values()) == 1 else " sweeps"
+            text += "" if campaign.direction_given else " (direction not given: inferred from the motion)"
         tables.append(text)
     return f"  {campaign.name}: {campaign.duration_s / 3600:.2f} h; {'; '.join(tables)}"
 
@@ -62,7 +66,12 @@ def _campaign_line(campaign: CampaignSummary) -> str:
 def _verdict(errors: int, warnings: int) -> str:
     if not errors and not warnings:
         return "No problems found."
-    end = "The folder cannot be used until the errors are mended." if errors else "The folder can be used."
+    end = (
+        "The folder cannot be used until the errors are mended."
+        " Further checks wait for these errors: run the check again then."
+        if errors
+        else "The folder can be used."
+    )
     return f"{_count(errors, 'error')}, {_count(warnings, 'warning')}. {end}"
 
 

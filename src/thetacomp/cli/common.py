@@ -17,6 +17,10 @@ import typer
 from thetacomp import __version__
 from thetacomp.errors import InputError, ThetacompError
 
+# The matrices here are small: threads of the linear algebra cost more than they bring. NumPy is not loaded yet.
+for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_library, "1")
+
 DONE, BAD_INPUT, BAD_USAGE, NOT_FIT = 0, 1, 2, 3
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object for scripts instead of text.")]

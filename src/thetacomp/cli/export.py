@@ -29,21 +29,36 @@ def _export(model_path: Path, target: str, out: Path, settings: Path | None) -> 
         text = f"error: this version writes {', '.join(TARGETS)}, not '{target}'. Fix: --target {next(iter(TARGETS))}."
         return Outcome(text, {"error": text, "targets": list(TARGETS)}, BAD_USAGE)
     model = load_model(model_path)
-    files = TARGETS[target](model, settings)
+    made = TARGETS[target](model, settings)
     out.mkdir(parents=True, exist_ok=True)
-    for file in files:
+    for file in made.files:
         # Newlines as they are: the same files come out on every system.
         (out / file.name).write_text(file.text, encoding="utf-8", newline="\n")
-    unproven = model.sign == "unproven"
-    lines = [f"{target} files for {model.machine} in {out}:", *(f"  {file.name}" for file in files)]
-    if unproven:
-        reason = (
+    lines = [f"{target} files for {model.machine} in {out}:", *(f"  {file.name}" for file in made.files), *made.remarks]
+    lines += [
+        f"An older {name} is still in {out}: it does not belong to this model, delete it."
+        for name in made.absent
+        if (out / name).exists()
+    ]
+    reasons = []
+    if model.sign == "unproven":
+        reasons.append(
             "The sign of this model is unproven: its source does not state the sign convention or the axis directions."
             " The files are for preparation and sign tests, not for compensation."
         )
-        lines.append(f"NOT FIT FOR USE: {reason}")
-    else:
-        reason = ""
+    if model.failed_checks:
+        count = len(model.failed_checks)
+        reasons.append(f"The model failed {count} acceptance check{'s' if count > 1 else ''}.")
+    lines += [f"NOT FIT FOR USE: {reason}" for reason in reasons]
+    lines += [f"  - {sentence}" for sentence in model.failed_checks]
+    if not reasons:
         lines.append("Next: follow commissioning_sheet.html; nothing is compensated before its sign test has passed.")
-    data = {"out": str(out), "files": [file.name for file in files], "sign": model.sign, "reason": reason}
-    return Outcome("\n".join(lines), data, NOT_FIT if unproven else DONE)
+    data = {
+        "out": str(out),
+        "files": [file.name for file in made.files],
+        "sign": model.sign,
+        "failed_checks": list(model.failed_checks),
+        "remarks": list(made.remarks),
+        "reason": " ".join(reasons),
+    }
+    return Outcome("\n".join(lines), data, NOT_FIT if reasons else DONE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +14,7 @@ from thetacomp.cli.common import JsonOption, Outcome, run
 if TYPE_CHECKING:
     from thetacomp.campaign import Temperatures
     from thetacomp.models.document import ModelDocument
-    from thetacomp.prediction import Prediction, Reference
+    from thetacomp.prediction import Breach, Prediction, Reference
 
 EARLIEST_DATE_S = 1e8  # tables with dates count from 1970; no campaign runs for three years
 
@@ -46,9 +47,25 @@ def _predict(model_path: Path, temperatures_path: Path, positions_path: Path, ou
             f"{positions_path}: positions of several axes at once ({', '.join(f'{a}_mm' for a in positions.at_mm)})"
             " need the joint form, which this version does not have. Fix: give t_s, axis, position_mm."
         )
-    prediction = predict(model, temperatures, positions, _reference(reference, temperatures))
+    moment = _reference(reference, temperatures)
+    prediction = predict(model, temperatures, positions, moment, _place(positions_path))
     write_prediction(prediction, out)
-    return _outcome(model, prediction, out, tool_length_given=positions.tool_length_mm is not None)
+    zero = _reference_text(moment, temperatures, model, prediction)
+    return _outcome(model, prediction, out, zero, tool_length_given=positions.tool_length_mm is not None)
+
+
+def _place(path: Path) -> Callable[[int], str]:
+    """How a message names a row of the positions: the file and, where it is a plain table, the spreadsheet row."""
+
+    def place(i: int) -> str:
+        from thetacomp.reading.sources import read_source
+
+        if path.suffix.lower() == ".xlsx":
+            return f"{path.name}, data row {i + 1}"
+        # Rows may be apart where the file has blank lines: the file is asked again, but only for a message.
+        return f"{path.name}, row {int(read_source(path, path.name).rows[i])}"
+
+    return place
 
 
 def _reference(text: str, temperatures: Temperatures) -> Reference:
@@ -77,7 +94,44 @@ def _reference(text: str, temperatures: Temperatures) -> Reference:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def _outcome(model: ModelDocument, prediction: Prediction, out: Path, *, tool_length_given: bool) -> Outcome:
+def _reference_text(
+    reference: Reference, temperatures: Temperatures, model: ModelDocument, prediction: Prediction
+) -> str:
+    """Where the thermal error counts as zero in this prediction, in words."""
+    if reference == "model":
+        asked = [c for c in model.components.values() if (c.axis or "") in prediction.axis]
+        moments = dict.fromkeys(f"campaign {c.reference.campaign} at {c.reference.t_s:.10g} s" for c in asked)
+        return f"the model's own, {'; '.join(moments)}; the constants of the fit are kept"
+    if reference == "first_row":
+        return f"first row of the temperatures, {_moment(float(temperatures.t_s[0]))}; the error is zero there"
+    return f"the temperatures at {_moment(float(reference))}; the error is zero there"
+
+
+def _moment(t_s: float) -> str:
+    if t_s < EARLIEST_DATE_S:
+        return f"t = {t_s:.10g} s"
+    return f"time = {datetime.fromtimestamp(t_s, UTC).replace(tzinfo=None).isoformat()}"
+
+
+_UNITS = {"temperature": "°C", "rise": "K above the reference", "position": "mm"}
+
+
+def _rows(count: int) -> str:
+    return f"{count} row{'s' * (count != 1)}"
+
+
+def _breach_text(breach: Breach) -> str:
+    low, high = breach.values
+    what = "position of " if breach.kind == "position" else "rise of " if breach.kind == "rise" else ""
+    return (
+        f"    {what}{breach.name}: {_rows(breach.rows)} outside; values {low:.6g} … {high:.6g},"
+        f" trained {breach.trained[0]:.6g} … {breach.trained[1]:.6g} {_UNITS[breach.kind]}"
+    )
+
+
+def _outcome(
+    model: ModelDocument, prediction: Prediction, out: Path, reference: str, *, tool_length_given: bool
+) -> Outcome:
     import numpy as np
 
     rows = len(prediction.t_s)
@@ -86,17 +140,37 @@ def _outcome(model: ModelDocument, prediction: Prediction, out: Path, *, tool_le
         f"d{d}_um": float(np.nanmax(np.abs(column))) if np.isfinite(column).any() else None
         for d, column in zip("XYZ", prediction.error_um.T, strict=True)
     }
-    lines = [f"{rows} rows written to {out}"]
+    asked = {name: c for name, c in model.components.items() if (c.axis or "") in prediction.axis}
+    unpredicted = [name for name, component in asked.items() if not component.inputs]
+    lines = [f"{_rows(rows)} written to {out}", f"  reference: {reference}"]
     lines += [f"  largest |{name[:-3]}|: {value:.1f} µm" for name, value in largest.items() if value is not None]
     if outside:
-        lines.append(f"  {outside} rows lie outside the training range (in_domain = 0): do not rely on them.")
+        lines.append(f"  {_rows(outside)} outside what the model was trained on (in_domain = 0): no result to rely on.")
+        lines += [_breach_text(breach) for breach in prediction.breaches]
     if missing:
-        lines.append(f"  {missing} rows have no temperature for an input: their values are empty.")
+        lines.append(f"  {_rows(missing)} without a temperature for an input: the values are empty.")
     if (np.isfinite(prediction.error_um) & ~np.isfinite(prediction.lower_um)).any():
         lines.append("  Some bounds are empty: the fit had no degree of freedom left to tell them.")
+    if unpredicted:
+        lines.append(f"  No sensor predicts {', '.join(unpredicted)}: they do not change with temperature here.")
     if tool_length_given:
         lines.append("  tool_length_mm was not used: the model has no rotations.")
     if model.sign == "unproven":
         lines.append("  SIGN UNPROVEN: the source of the model does not state its sign convention or axis directions.")
-    data = {"out": str(out), "rows": rows, "outside_domain": outside, "missing_temperature": missing}
-    return Outcome("\n".join(lines), {**data, "largest": largest, "sign": model.sign})
+    if model.failed_checks:
+        count = len(model.failed_checks)
+        failed = f"{count} acceptance check{'s' * (count > 1)} failed: {'; '.join(model.failed_checks)}"
+        lines.append(f"  NOT FIT FOR USE: {failed}")
+    data = {
+        "out": str(out),
+        "rows": rows,
+        "reference": reference,
+        "outside_domain": outside,
+        "breaches": [vars(breach) for breach in prediction.breaches],
+        "missing_temperature": missing,
+        "unpredicted": unpredicted,
+        "largest": largest,
+        "sign": model.sign,
+        "failed_checks": list(model.failed_checks),
+    }
+    return Outcome("\n".join(lines), data)

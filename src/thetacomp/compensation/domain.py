@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,21 @@ MARGIN_MM = 1.0
 Box = Mapping[str, tuple[float, float]]
 
 
+@dataclass(frozen=True)
+class Limit:
+    """One quantity of a law beside what it was trained on: a temperature (°C), its rise (K) or a position (mm).
+
+    `name` is the sensor or the axis; `value` and `inside` are (n,), `inside` with the margin; a missing value is
+    outside.
+    """
+
+    kind: Literal["temperature", "rise", "position"]
+    name: str
+    value: Floats
+    trained: tuple[float, float]
+    inside: NDArray[np.bool_]
+
+
 def in_domain(law: Law, training: Training, temperature_degC: Floats, position_mm: Floats) -> NDArray[np.bool_]:
     """True where the model was trained, shape (n,), for temperatures (n, k) of the inputs and n positions.
 
@@ -26,15 +43,26 @@ def in_domain(law: Law, training: Training, temperature_degC: Floats, position_m
     A missing value is outside.
     """
     inside = np.ones(len(temperature_degC), dtype=np.bool_)
+    for limit in limits(law, training, temperature_degC, position_mm):
+        inside &= limit.inside
+    return inside
+
+
+def limits(law: Law, training: Training, temperature_degC: Floats, position_mm: Floats) -> tuple[Limit, ...]:
+    """Every limit that `in_domain` looks at, for temperatures (n, k) of the inputs and n positions."""
+    out: list[Limit] = []
     rises_K = law.rises_K(temperature_degC)
     for j, sensor in enumerate(law.inputs):
-        inside &= _within(temperature_degC[:, j], training.range_degC[sensor])
+        value, trained = temperature_degC[:, j], training.range_degC[sensor]
+        out.append(Limit("temperature", sensor, value, trained, _within(value, trained)))
         if training.datum == "campaign":
-            inside &= _within(rises_K[:, j], training.range_rise_K[sensor])
+            value, trained = rises_K[:, j], training.range_rise_K[sensor]
+            out.append(Limit("rise", sensor, value, trained, _within(value, trained)))
     lowest, highest = law.component.p_min_mm, law.component.p_max_mm
     if lowest is not None and highest is not None:
-        inside &= (position_mm >= lowest - MARGIN_MM) & (position_mm <= highest + MARGIN_MM)
-    return inside
+        inside = (position_mm >= lowest - MARGIN_MM) & (position_mm <= highest + MARGIN_MM)
+        out.append(Limit("position", law.component.axis or "", position_mm, (lowest, highest), inside))
+    return tuple(out)
 
 
 def training_box_degC(laws: Iterable[Law], training: Training) -> dict[str, tuple[float, float]]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -26,6 +27,18 @@ class ExportFile:
 
     name: str
     text: str
+
+
+@dataclass(frozen=True)
+class Export:
+    """All files of an export, and what must be said about them: sentences for the console.
+
+    `absent` names files of the same target that this model does not need: an older one must not be taken for new.
+    """
+
+    files: tuple[ExportFile, ...]
+    remarks: tuple[str, ...] = ()
+    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,16 +84,54 @@ def read_settings(path: Path | None, kind: type[SettingsT]) -> SettingsT:
     try:
         return kind.model_validate(raw)
     except ValidationError as exc:
+        known = tuple(kind.model_fields)
         raise InputError(
             [
-                _problem(
-                    path,
-                    f"{'.'.join(str(part) for part in error['loc'])}: {error['msg']}.",
-                    f"known settings are {', '.join(kind.model_fields)}.",
-                )
+                _problem(path, in_words(dict(error), known), f"known settings are {', '.join(known)}.")
                 for error in exc.errors()
             ]
         ) from None
+
+
+_KINDS = {
+    "bool": "true or false",
+    "dict": "a table",
+    "float": "a number",
+    "int": "a whole number",
+    "model": "a table",
+    "string": "a text in quotes",
+}
+
+
+def in_words(error: Mapping[str, Any], known: Sequence[str]) -> str:
+    """One error of a pydantic check in plain words: the setting, what was found, what is expected."""
+    kind, context = str(error["type"]), error.get("ctx", {})
+    place = ".".join(str(part) for part in error["loc"] if part != "[key]")
+    if kind == "extra_forbidden":
+        return f"unknown setting '{place}'{_nearest(place, known) or '.'}"
+    if error["loc"][-1:] == ("[key]",):
+        return f"{place}: this key is not known here, expected {context.get('expected', 'another one')}."
+    bounds = {"greater_than_equal": ("at least", "ge"), "less_than_equal": ("at most", "le")}
+    bounds |= {"greater_than": ("above", "gt"), "less_than": ("below", "lt")}
+    if kind == "literal_error":
+        expected = str(context["expected"])
+    elif kind in bounds:
+        words, key = bounds[kind]
+        expected = f"a value {words} {context[key]}"
+    elif kind == "string_pattern_mismatch":
+        expected = "a name of letters, digits and underscores that does not begin with a digit"
+    elif kind == "finite_number":
+        expected = "a finite number"
+    else:
+        expected = _KINDS.get(kind.split("_")[0], "another kind of value")
+    return f"{place} = {error['input']!r}: expected {expected}."
+
+
+def _nearest(name: str, known: Sequence[str]) -> str:
+    """`, did you mean x?` for a name that begins or looks like this one; nothing where none is near."""
+    begins = [one for one in known if len(name) > 2 and one.startswith(name.lower())]
+    close = begins or difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6)
+    return f", did you mean {close[0]}?" if close else ""
 
 
 def _problem(path: Path, message: str, fix: str) -> Problem:

@@ -19,7 +19,7 @@ from thetacomp.campaign import CARTESIAN, Floats
 from thetacomp.compensation.domain import Box, largest, training_box_degC
 from thetacomp.compensation.law import Law, inputs_of, laws
 from thetacomp.controllers.base import RegisterLaw, register_law
-from thetacomp.errors import InputError, Problem
+from thetacomp.errors import AnalysisError, InputError, Problem
 from thetacomp.machine import Axis, Strict
 from thetacomp.models.document import Component, ModelDocument
 
@@ -82,6 +82,11 @@ class AxisRegisters:
         """MD32750: bit 0 position-independent, bit 1 position-dependent."""
         return (1 if self.drift_source else 0) + (2 if self.slope_source else 0)
 
+    @property
+    def longest_arm_mm(self) -> float:
+        """Largest distance from P0 inside the measured range, at least 1 mm."""
+        return max(abs(self.p_max_mm - self.register_p0_mm), abs(self.p_min_mm - self.register_p0_mm), 1.0)
+
 
 @dataclass(frozen=True)
 class SagTable:
@@ -105,30 +110,62 @@ class SagTable:
         """Distance of two points of the table."""
         return round((self.p_max_mm - self.p_min_mm) / (TABLE_POINTS - 1), 4)
 
+    @property
+    def largest_mm(self) -> float:
+        """Largest value of the table, without its sign."""
+        return max(abs(value) for value in self.register_mm)
+
 
 @dataclass(frozen=True)
 class LeftOut:
     """An intercept that is not exported because the drift of its direction comes from `counted`.
 
     Both values are those of the warmest state of the grid: their difference is what the choice costs or saves.
+    `bound_um` is the 95 % bound of this difference, the root of the sum of the squares of both half widths; infinite
+    where a fit has no degree of freedom.
     """
 
     component: str
     counted: str
+    direction: str
     intercept_um: float
     counted_um: float
+    bound_um: float
+
+    @property
+    def difference_um(self) -> float:
+        """The intercept left out less the one in use."""
+        return self.intercept_um - self.counted_um
+
+    @property
+    def differs(self) -> bool:
+        """True where the two differ by more than chance explains."""
+        return abs(self.difference_um) > self.bound_um
+
+
+@dataclass(frozen=True)
+class NotExported:
+    """An error along a direction that no axis corrects; `largest_um` is its size at the warmest state."""
+
+    component: str
+    direction: str
+    largest_um: float
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that is written: registers, tables, and the grid of states (`grid_degC`: sensor -> (n,))."""
+    """Everything that is written: registers, tables, and the grid of states (`grid_degC`: sensor -> (n,)).
+
+    `unpredicted` names the errors that no sensor predicts: they are not compensated.
+    """
 
     model: ModelDocument
     settings: SinumerikSettings
     axes: tuple[AxisRegisters, ...]
     tables: tuple[SagTable, ...]
     left_out: tuple[LeftOut, ...]
-    not_exported: tuple[str, ...]
+    not_exported: tuple[NotExported, ...]
+    unpredicted: tuple[str, ...]
     max_sum_mm: dict[str, float]
     grid_degC: dict[str, Floats]
 
@@ -139,9 +176,14 @@ class Plan:
 
 
 def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: str = "export.toml") -> Plan:
-    """Decide which register carries what. Raises InputError where the settings do not fit the model."""
+    """Decide which register carries what.
+
+    Raises InputError where the settings do not fit the model, AnalysisError where nothing can be exported.
+    """
+    whole = model
     _check_settings(model, settings, settings_file)
-    bound = laws(model, settings.reference_degC)
+    bound = {name: law for name, law in laws(model, settings.reference_degC).items() if law.inputs}
+    model = model.model_copy(update={"components": {name: law.component for name, law in bound.items()}})
     box = training_box_degC(bound.values(), model.training)
     grid = {sensor: np.linspace(*box[sensor], GRID_STATES) for sensor in inputs_of(bound)}
     outputs = {d: _output_axis(model, settings, d) for d in CARTESIAN}
@@ -164,14 +206,17 @@ def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: 
     counted = {d: bound[source] for d, source in sources.items() if source}
     pairs = [(law, counted[d]) for law in bound.values() if (d := law.component.direction) in counted]
     left_out = [_left_out(law, other, grid) for law, other in pairs if law is not other]
-    orphans = [name for name, law in bound.items() if not outputs[law.component.direction]]
+    orphans = [law for law in bound.values() if not outputs[law.component.direction]]
+    if len(orphans) == len(bound):
+        raise AnalysisError(_nothing(whole, orphans))
     return Plan(
-        model=model,
+        model=whole,
         settings=settings,
         axes=tuple(registers for registers in axes if registers.compensation_type),
         tables=tuple(tables),
         left_out=tuple(left_out),
-        not_exported=tuple(orphans),
+        not_exported=tuple(_not_exported(law, grid) for law in orphans),
+        unpredicted=tuple(name for name in whole.components if name not in bound),
         max_sum_mm={name: settings.md32720_cec_max_sum_mm or value for name, value in sums.items()},
         grid_degC=grid,
     )
@@ -277,12 +322,35 @@ def _sag_table(
     )
 
 
-def _left_out(law: Law, counted: Law, grid: dict[str, Floats]) -> LeftOut:
-    def warmest(one: Law) -> float:
-        theta = np.array([[grid[sensor][-1] for sensor in one.inputs]])
-        return float(one.line(one.rises_K(theta))[0][0])
+def _warmest_K(law: Law, grid: dict[str, Floats]) -> Floats:
+    return law.rises_K(np.array([[grid[sensor][-1] for sensor in law.inputs]]))
 
-    return LeftOut(law.name, counted.name, warmest(law), warmest(counted))
+
+def _left_out(law: Law, counted: Law, grid: dict[str, Floats]) -> LeftOut:
+    def warmest_um(one: Law) -> tuple[float, float]:
+        rises_K, at_p0 = _warmest_K(one, grid), np.array([one.component.p0_mm or 0.0])
+        return float(one.line(rises_K)[0][0]), float(one.half_width_um(rises_K, at_p0)[0])
+
+    (intercept_um, half_um), (counted_um, counted_half_um) = warmest_um(law), warmest_um(counted)
+    bound_um = math.hypot(half_um, counted_half_um)
+    return LeftOut(law.name, counted.name, law.component.direction, intercept_um, counted_um, bound_um)
+
+
+def _not_exported(law: Law, grid: dict[str, Floats]) -> NotExported:
+    component = law.component
+    ends_mm = np.array([component.p_min_mm or 0.0, component.p_max_mm or 0.0])
+    error_um = law.error_um(np.repeat(_warmest_K(law, grid), 2, axis=0), ends_mm)
+    return NotExported(law.name, component.direction, float(np.abs(error_um).max()))
+
+
+def _nothing(model: ModelDocument, orphans: list[Law]) -> str:
+    lost = ", ".join(name for name, component in model.components.items() if not component.inputs)
+    no_axis = ", ".join(f"{law.name} (no axis along {law.component.direction})" for law in orphans)
+    reasons = [f"no sensor predicts {lost}"] * bool(lost) + [f"no axis corrects {no_axis}"] * bool(no_axis)
+    return (
+        f"nothing can be exported: {'; '.join(reasons) or 'the model has no component'}. Fix: measure with sensors"
+        " that follow these errors, describe the axes in machine.toml, and run `thetacomp analyze` again."
+    )
 
 
 def _check_settings(model: ModelDocument, settings: SinumerikSettings, file: str) -> None:
@@ -304,6 +372,8 @@ def _check_settings(model: ModelDocument, settings: SinumerikSettings, file: str
             found.append(
                 (f"drift_source.{direction} = {name!r}: not an error in {direction}.", f"choose from {known}.")
             )
+        elif not model.components[name].inputs:
+            found.append((f"drift_source.{direction} = {name!r}: no sensor predicts it.", "choose another error."))
     if settings.reference_degC is not None:
         inputs = {sensor for component in model.components.values() for sensor in component.inputs}
         lacking, spare = sorted(inputs - set(settings.reference_degC)), sorted(set(settings.reference_degC) - inputs)

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import csv
 import io
+import textwrap
 
 import numpy as np
 
 from thetacomp import __version__
+from thetacomp.controllers.ascii_text import ascii_names, ascii_text
 from thetacomp.controllers.base import RegisterLaw
 from thetacomp.controllers.sinumerik import GRID_STATES, TABLE_POINTS, Plan, SagTable
+from thetacomp.controllers.sinumerik_remarks import failed_checks
 
-TABLE_COLUMNS = 6  # a block of an NC program must stay below 512 characters, comments too
+TABLE_COLUMNS = 6
+LONGEST_LINE = 500  # a block of an NC program must stay below 512 characters, comments too
+REFERENCE_ROUNDING_UM = 0.05
 UNPROVEN = (
     "SIGN UNPROVEN: the source of this model does not state its sign convention or axis directions.",
     "Do not switch the compensation on before the measurement itself and the +10 um sign test have proven both.",
@@ -53,10 +58,12 @@ def temperature_program(plan: Plan) -> str:
         lines.append(f"$SA_TEMP_COMP_REF_POSITION[{name}]={number(axis.register_p0_mm)} ; SD43920, P0, mm in MCS")
     lines += [f"$SN_CEC_TABLE_WEIGHT[{table.index}]=0.0 ; SD41310, {table.source}" for table in plan.tables]
     lines += [";", "; --- 3 the law of every register: constant + sum of factor * (temperature - reference), degC"]
-    for label, law in _laws(plan):
-        lines += [f"; {label} = {number(law.constant)}"]
-        for sensor, slope, reference in zip(law.sensors, law.factors, law.reference_degC, strict=True):
-            lines.append(f"; {label} + {number(slope)} * ({sensor} - {number(reference)})")
+    lines += [f"; {line}" for line in reference_lines(plan)]
+    names = sensor_names(plan)
+    for label, law, um_per_unit in _laws(plan):
+        constant, terms = law_in_digits(law, um_per_unit)
+        text = "".join(f" {sign} {factor} * ({names[s]} - {reference})" for sign, factor, s, reference in terms)
+        lines.append(f"; {label} = {constant}{text}")
     lines += [";", f"; --- 4 values at {GRID_STATES} states over the training range (all inputs rise together)"]
     columns = register_columns(plan)
     for first in range(0, len(columns), TABLE_COLUMNS):
@@ -106,14 +113,56 @@ def register_columns(plan: Plan) -> list[tuple[str, RegisterLaw, int]]:
     return out
 
 
-def _laws(plan: Plan) -> list[tuple[str, RegisterLaw]]:
-    out: list[tuple[str, RegisterLaw]] = []
+def law_in_digits(law: RegisterLaw, um_per_unit: float) -> tuple[str, list[tuple[str, str, str, str]]]:
+    """A law to seven digits: its constant, and sign, factor, sensor and reference of every term.
+
+    A reference has two decimals, or as many as keep what the rounding does below 0.05 µm; `um_per_unit` is what one
+    unit of the register does at most.
+    """
+    allowed = REFERENCE_ROUNDING_UM / max(1, len(law.sensors))
+    terms = []
+    for sensor, factor, reference in zip(law.sensors, law.factors, law.reference_degC, strict=True):
+        decimals = 2
+        while decimals < 15 and abs(factor * (round(reference, decimals) - reference)) * um_per_unit >= allowed:
+            decimals += 1
+        terms.append(("-" if factor < 0 else "+", _seven(abs(factor)), sensor, f"{reference:.{decimals}f}"))
+    return _seven(law.constant), terms
+
+
+def sensor_names(plan: Plan) -> dict[str, str]:
+    """The inputs as ASCII files name them."""
+    return ascii_names(plan.grid_degC, "sensor")
+
+
+def reference_lines(plan: Plan) -> list[str]:
+    """Whose temperatures the law counts from: one line, or one for each moment where there are several."""
+    anew = "capture anew at each datum set, see sheet"
+    if plan.settings.reference_degC is not None:
+        return [f"reference: reference_degC of the export settings; {anew}"]
+    sources = [s for a in plan.axes for s in (a.drift_source, a.slope_source) if s] + [t.source for t in plan.tables]
+    moments: dict[str, list[str]] = {}
+    for name in dict.fromkeys(sources):
+        reference = plan.model.components[name].reference
+        moments.setdefault(f"campaign {reference.campaign} at {reference.t_s:.10g} s", []).append(name)
+    if len(moments) == 1:
+        return [f"reference: {next(iter(moments))}; {anew}"]
+    return [*(f"reference of {', '.join(names)}: {moment}" for moment, names in moments.items()), f"reference: {anew}"]
+
+
+def _seven(value: float) -> str:
+    return number(float(f"{value:.7g}"))
+
+
+def _laws(plan: Plan) -> list[tuple[str, RegisterLaw, float]]:
+    """Label, law, and what one unit of the register does at most, in µm."""
+    out: list[tuple[str, RegisterLaw, float]] = []
     for axis in plan.axes:
+        name, arm_um = axis.channel_axis, 1e3 * axis.longest_arm_mm
         if axis.drift_source:
-            out.append((f"K0[{axis.channel_axis}] mm ({axis.drift_source})", axis.register_k0_mm))
+            out.append((f"K0[{name}] mm ({axis.drift_source})", axis.register_k0_mm, 1e3))
         if axis.slope_source:
-            out.append((f"tanbeta[{axis.channel_axis}] mm/mm ({axis.slope_source})", axis.register_tan_beta))
-    out += [(f"weight[{table.index}] ({table.source})", table.weight) for table in plan.tables]
+            out.append((f"tanbeta[{name}] mm/mm ({axis.slope_source})", axis.register_tan_beta, arm_um))
+    out += [(f"weight[{t.index}] ({t.source})", t.weight, 1e3 * t.largest_mm) for t in plan.tables]
     return out
 
 
@@ -122,16 +171,21 @@ def _head(plan: Plan) -> list[str]:
     lines = [f"; thermal compensation for SINUMERIK, written by thetacomp {__version__}"]
     if plan.sign_unproven:
         lines += [f"; !!! {line} !!!" for line in UNPROVEN]
+    if model.failed_checks:
+        lines.append(f"; !!! NOT FIT FOR USE: {failed_checks(plan)} !!!")
+        lines += [f"; !!! - {sentence}" for sentence in model.failed_checks]
+    machine, campaigns = (ascii_text(text).strip() for text in (model.machine, ", ".join(model.training.campaigns)))
+    cec = f", sign_cec = {plan.settings.sign_cec:+d}; both wait" if plan.tables else "; it waits"
     lines += [
-        f"; machine {model.machine}; model of {model.created}, trained on {', '.join(model.training.campaigns)}",
+        f"; {f'machine {machine}; ' if machine else ''}model of {model.created}, trained on {campaigns}",
         "; Values follow the error E = actual - commanded with sign_temperature ="
-        f" {plan.settings.sign_temperature:+d}, sign_cec = {plan.settings.sign_cec:+d}; both wait for the sign test.",
+        f" {plan.settings.sign_temperature:+d}{cec} for the sign test.",
     ]
     return lines
 
 
 def _table(plan: Plan, columns: list[tuple[str, RegisterLaw, int]]) -> list[str]:
-    names = [f"{sensor}_degC" for sensor in plan.grid_degC]
+    names = [f"{sensor}_degC" for sensor in sensor_names(plan).values()]
     cells = [[f"{degC[i]:.3f}" for degC in plan.grid_degC.values()] for i in range(GRID_STATES)]
     for name, law, digits in columns:
         names.append(name)
@@ -161,5 +215,7 @@ def _sag_block(table: SagTable) -> list[str]:
 
 def _ascii(lines: list[str]) -> str:
     # A control may refuse or mangle letters beyond ASCII even in a comment; a machine name can hold them.
-    text = "".join(" ".join(line.splitlines()) + "\n" for line in lines)
-    return text.encode("ascii", "backslashreplace").decode("ascii")
+    out: list[str] = []
+    for line in (ascii_text(" ".join(line.splitlines())) for line in lines):
+        out += textwrap.wrap(line, LONGEST_LINE, subsequent_indent=";   ") if len(line) > LONGEST_LINE else [line]
+    return "".join(f"{line}\n" for line in out)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from math import isfinite
 
 from thetacomp import __version__
 from thetacomp.controllers.base import RegisterLaw
-from thetacomp.controllers.sinumerik import TABLE_POINTS, AxisRegisters, Plan
-from thetacomp.controllers.sinumerik_files import number
+from thetacomp.controllers.sinumerik import TABLE_POINTS, Plan
+from thetacomp.controllers.sinumerik_files import law_in_digits, number, reference_lines, sensor_names
+from thetacomp.controllers.sinumerik_remarks import differing, failed_checks, not_compensated, worst_drift
 from thetacomp.controllers.sinumerik_signtest import sign_tests
 
 _STYLE = """
@@ -29,6 +31,8 @@ code { font: 12px/1.4 Consolas, "DejaVu Sans Mono", monospace; }
 .keep { white-space: nowrap; }
 .banner { background: #b00020; color: #fff; padding: 12px 16px; font-weight: 600; margin: 12px 0;
   print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+.banner ul { margin: 4px 0 0; font-weight: 400; }
+.warn { border: 2px solid #b00020; padding: 8px 12px; margin: 10px 0; break-inside: avoid; }
 .blank { display: inline-block; min-width: 48px; }
 @media print { body { margin: 0; padding: 0; max-width: none; font-size: 12px; } table { font-size: 11px; }
   code { font-size: 9.5px; } }
@@ -69,10 +73,13 @@ _KNOWN = (
     (
         "unproven",
         "Temperature compensation waits for a referenced axis",
-        "stated for CEC only: reference the axes first",
+        "not stated for this function: reference the axes first",
     ),
     ("unproven", "The control's own defaults of MD32720 (1 mm) and MD32730 (0.1)", "read them before you write"),
 )
+
+
+_OF_TABLES = ("CEC", "SD41310", "MD32720")
 
 
 def commissioning_sheet(plan: Plan) -> str:
@@ -83,6 +90,7 @@ def commissioning_sheet(plan: Plan) -> str:
         f'<p class="sub">SINUMERIK 840D sl / ONE · thetacomp {__version__} · model of {escape(model.created)}'
         f" · trained on {escape(', '.join(model.training.campaigns))}</p>",
         f'<div class="banner">{_BANNER}</div>' if plan.sign_unproven else "",
+        _failed(plan),
         "<p>The error is E = actual − commanded at the tool point, along X, Y, Z. A register of the control is"
         " not an error: it belongs to an axis and has the sign of the control. The direction of every axis below is the"
         " movement of the tool relative to the workpiece.</p>",
@@ -92,7 +100,7 @@ def commissioning_sheet(plan: Plan) -> str:
         _laws(plan),
         _writer(plan),
         _drift(plan),
-        _known(),
+        _known(plan),
         _limits(plan),
         '<p style="margin-top:28px">Date ______________ Name ______________________'
         " Signature ______________________</p>",
@@ -103,6 +111,13 @@ def commissioning_sheet(plan: Plan) -> str:
         + "\n".join(part for part in parts if part)
         + "\n</body></html>\n"
     )
+
+
+def _failed(plan: Plan) -> str:
+    if not plan.model.failed_checks:
+        return ""
+    items = "".join(f"<li>{escape(sentence)}</li>" for sentence in plan.model.failed_checks)
+    return f'<div class="banner">NOT FIT FOR USE: {failed_checks(plan)}.<ul>{items}</ul></div>'
 
 
 def _what_goes_where(plan: Plan) -> str:
@@ -124,7 +139,7 @@ def _what_goes_where(plan: Plan) -> str:
             f"{table.output.channel_axis} (AX{table.output_number})",
             f"{number(table.p_min_mm)} … {number(table.p_max_mm)}, step {number(table.step_mm)}",
             f"{table.slope_ref_um_per_m:g}",
-            f"{max(abs(value) for value in table.register_mm):.4f}",
+            f"{table.largest_mm:.4f}",
         ]
         for table in plan.tables
     ]
@@ -133,11 +148,42 @@ def _what_goes_where(plan: Plan) -> str:
         head = ["CEC table", "Error", "Base", "Output", "Range, mm", "µm/m at weight 1", "Largest value, mm"]
         text += _table(head, table_rows, numeric=(5, 6))
     else:
-        text += "<p>The model has no cross error: there is no CEC table and no file sinumerik_cec.ini.</p>"
-    if plan.not_exported:
-        names = escape(", ".join(plan.not_exported))
-        text += f"<p><b>Not exported</b>, because no axis moves along their direction: {names}.</p>"
+        text += "<p>No cross error is exported: temperature compensation alone is used.</p>"
+    if worst_drift(plan):
+        text += f'<div class="warn"><b>The drift does not agree.</b> {escape(worst_drift(plan))}</div>'
+    sentences = not_compensated(plan)
+    if sentences:
+        items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
+        text += f"<p><b>Not compensated:</b></p><ul>{items}</ul>"
     return text
+
+
+def _step_zero(plan: Plan) -> str:
+    """Proof of the sign of the measured errors, where the model lacks it; a line for the result of every axis."""
+    if not plan.sign_unproven:
+        return ""
+    rows = [
+        [
+            f"{escape(axis.name)} (direction {axis.direction})",
+            f"move {escape(axis.name)} by +0.010 mm",
+            f"d{axis.cartesian}_um",
+            f"{10.0 * axis.sign:+.1f}".replace("-", "−"),
+            '<span class="blank">&nbsp;</span>',
+        ]
+        for axis in plan.model.axes
+    ]
+    head = ["Axis", "With the compensation off", "Column of the table", "Must change by, µm", "Recorded, µm"]
+    return (
+        "<p><b>Step 0: prove the sign of the measured errors.</b> Set up the measuring instrument as in the campaign"
+        " and record one error. Then move the axis on by 0.010 mm, but keep the old commanded position in the record:"
+        " the tool now stands 10 µm too far. Record again, through the same evaluation that made the tables.</p>"
+        + _table(head, rows, numeric=(3,), escaped=True)
+        + "<p>Result: all signs right ☐ &nbsp; wrong in ______________ &nbsp; Date ______________ Name"
+        " ______________</p>"
+        "<p>Where a sign is wrong, turn it in that column of the tables. When every axis is right, write"
+        f' <code>sign = "stated"</code> into campaign.toml of {escape(", ".join(plan.model.training.campaigns))} and'
+        " run the analysis and this export again: the warning is then gone. Do not go on to step 1 before.</p>"
+    )
 
 
 def _steps(plan: Plan) -> str:
@@ -180,7 +226,9 @@ def _steps(plan: Plan) -> str:
         "Let the writer (PLC, or a program on a PC) put the values of part 4 into the registers, within the limits of"
         " part 5.",
     ]
-    return "<h2>2 Steps</h2><ol>" + "".join(f"<li>{escape(step)}</li>" for step in steps) + "</ol>"
+    return (
+        "<h2>2 Steps</h2>" + _step_zero(plan) + "<ol>" + "".join(f"<li>{escape(step)}</li>" for step in steps) + "</ol>"
+    )
 
 
 def _sign_test(plan: Plan) -> str:
@@ -208,33 +256,49 @@ def _sign_test(plan: Plan) -> str:
 def _laws(plan: Plan) -> str:
     rows = []
     for axis in plan.axes:
-        for label, wanted, law in (
-            (f"K0 of {axis.channel_axis}, mm", axis.drift_source, axis.register_k0_mm),
-            (f"tanβ of {axis.channel_axis}, mm/mm", axis.slope_source, axis.register_tan_beta),
+        arm_um = 1e3 * axis.longest_arm_mm
+        for label, wanted, law, um_per_unit in (
+            (f"K0 of {axis.channel_axis}, mm", axis.drift_source, axis.register_k0_mm, 1e3),
+            (f"tanβ of {axis.channel_axis}, mm/mm", axis.slope_source, axis.register_tan_beta, arm_um),
         ):
             if wanted:
-                rows.append([escape(label), f"<code>{escape(_formula(law))}</code>"])
+                rows.append([escape(label), f"<code>{escape(_formula(law, um_per_unit))}</code>"])
     for table in plan.tables:
-        rows.append([f"weight of table {table.index}, SD41310", f"<code>{escape(_formula(table.weight))}</code>"])
+        formula = _formula(table.weight, 1e3 * table.largest_mm)
+        rows.append([f"weight of table {table.index}, SD41310", f"<code>{escape(formula)}</code>"])
     if plan.settings.reference_degC is None:
         text = (
-            "The reference temperatures are those stored in the model, and the constant of the fit is kept: at these"
-            " temperatures the registers are the constants, not zero. If the datum of the workpiece is set at other"
-            " temperatures, name them as reference_degC in export.toml: the constant is then dropped, and the registers"
-            " are zero there."
+            f"{_moments(plan)} The reference temperatures are those stored in the model, and the constant of the fit"
+            " is kept: at these temperatures the registers are the constants, not zero. <b>Capture the reference anew"
+            " at each datum set:</b> read all inputs at the moment when the datum of the workpiece is set, name them as"
+            " reference_degC in export.toml and export again, or let the writer use them in place of the values below."
+            " The constant is then dropped, and the registers are zero there."
         )
     else:
-        text = "The registers are zero at the temperatures of reference_degC; the constant of the fit is dropped."
+        text = (
+            "The registers are zero at the temperatures of reference_degC; the constant of the fit is dropped. Capture"
+            " them anew at each datum set."
+        )
+    renamed = [f"{sensor} = {name}" for sensor, name in sensor_names(plan).items() if sensor != name]
+    if renamed:
+        text += f" Names in the ASCII files: {escape(', '.join(renamed))}."
     return (
-        f"<h2>4 The law of every register</h2><p>{text} All digits are in the .spf file, values at ten states in"
-        " sinumerik_values.csv.</p>" + _table(["Register", "Value (θ in °C)"], rows, escaped=True)
+        f"<h2>4 The law of every register</h2><p>{text} The same laws are in the .spf file; values at ten states, with"
+        " more digits, in sinumerik_values.csv.</p>" + _table(["Register", "Value (θ in °C)"], rows, escaped=True)
     )
 
 
-def _formula(law: RegisterLaw) -> str:
-    text = f"{law.constant:.6g}"
-    for sensor, factor, reference in zip(law.sensors, law.factors, law.reference_degC, strict=True):
-        text += f" {'−' if factor < 0 else '+'} {abs(factor):.6g}·({sensor} − {reference:g})"
+def _moments(plan: Plan) -> str:
+    """The moments of the stored reference, as sentences."""
+    lines = [line.partition(";")[0] for line in reference_lines(plan) if "campaign" in line]
+    return escape("R" + "; ".join(lines)[1:]) + "."
+
+
+def _formula(law: RegisterLaw, um_per_unit: float) -> str:
+    constant, terms = law_in_digits(law, um_per_unit)
+    text = constant.replace("-", "−")
+    for sign, factor, sensor, reference in terms:
+        text += f" {sign.replace('-', '−')} {factor}·({sensor} − {reference.replace('-', '−')})"
     return text
 
 
@@ -245,10 +309,10 @@ def _writer(plan: Plan) -> str:
         if axis.drift_source:
             rows.append([f"K0 of {axis.channel_axis}", f"± {axis.clamp_k0_mm:.4f} mm", f"{rate * 1e-3:.3g} mm/s"])
         if axis.slope_source:
-            slope_rate = rate * 1e-3 / _longest_arm(axis)
+            slope_rate = rate * 1e-3 / axis.longest_arm_mm
             rows.append([f"tanβ of {axis.channel_axis}", f"± {axis.clamp_tan_beta:.3e} mm/mm", f"{slope_rate:.3g} /s"])
     for table in plan.tables:
-        weight_rate = rate * 1e-3 / max(abs(value) for value in table.register_mm)
+        weight_rate = rate * 1e-3 / table.largest_mm
         rows.append([f"weight of table {table.index}", "± 1", f"{weight_rate:.3g} /s"])
     return (
         "<h2>5 Limits for whatever writes the registers</h2>"
@@ -261,10 +325,6 @@ def _writer(plan: Plan) -> str:
     )
 
 
-def _longest_arm(axis: AxisRegisters) -> float:
-    return max(abs(axis.p_max_mm - axis.register_p0_mm), abs(axis.p_min_mm - axis.register_p0_mm), 1.0)
-
-
 def _drift(plan: Plan) -> str:
     counted = [
         f"{a.axis.cartesian}: {a.drift_source}, into K0 of {a.channel_axis}" for a in plan.axes if a.drift_source
@@ -275,9 +335,21 @@ def _drift(plan: Plan) -> str:
         " [drift_source] in export.toml.</p>"
     )
     if plan.left_out:
-        rows = [[o.component, f"{o.intercept_um:+.1f}", o.counted, f"{o.counted_um:+.1f}"] for o in plan.left_out]
-        head = ["Intercept left out", "at the warmest state, µm", "counted instead", "at the warmest state, µm"]
-        text += _table(head, rows, numeric=(1, 3))
+        apart = differing(plan)
+        rows = [
+            [
+                o.component,
+                f"{o.intercept_um:+.1f}",
+                o.counted,
+                f"{o.counted_um:+.1f}",
+                f"± {o.bound_um:.1f}" if isfinite(o.bound_um) else "–",
+                "DIFFERS" if o in apart else "within the bound" if isfinite(o.bound_um) else "cannot be told",
+            ]
+            for o in plan.left_out
+        ]
+        warmest = "at the warmest state, µm"
+        head = ["Intercept left out", warmest, "counted instead", warmest, "95 % bound of the difference, µm", ""]
+        text += _table(head, rows, numeric=(1, 3, 4))
         text += (
             "<p>Where the two differ by much, the sweeps do not see the same drift: find out why before you trust"
             " either (another campaign, another position of the other axes, another sign).</p>"
@@ -285,8 +357,8 @@ def _drift(plan: Plan) -> str:
     return text
 
 
-def _known() -> str:
-    rows = [list(row) for row in _KNOWN]
+def _known(plan: Plan) -> str:
+    rows = [list(row) for row in _KNOWN if plan.tables or not any(word in row[1] for word in _OF_TABLES)]
     return (
         "<h2>7 What is proven and what is not</h2>"
         + _table(["Status", "Statement", "Source or remark"], rows)
@@ -299,9 +371,10 @@ def _limits(plan: Plan) -> str:
     rows = [
         [
             name,
-            ", ".join(c.inputs) or "none",
+            ", ".join(c.inputs) or "none: not compensated",
             f"{c.p_min_mm:g} … {c.p_max_mm:g}" if c.p_min_mm is not None and c.p_max_mm is not None else "fixed",
             str(c.states),
+            *(_one_decimal(c.held_out_um) if c.held_out_um else ("–", "–", "–")),
             f"{c.residual_um[0]:.1f}",
             f"{c.residual_um[1]:.1f}",
         ]
@@ -312,8 +385,8 @@ def _limits(plan: Plan) -> str:
         for s in plan.grid_degC
     ]
     notes = [
-        "Positions are machine coordinates (MCS) of the axis that moved. Beyond the measured range a CEC table holds"
-        " its end value, while tanβ goes on in a straight line.",
+        "Positions are machine coordinates (MCS) of the axis that moved. Beyond the measured range tanβ goes on in a"
+        " straight line" + (", while a CEC table holds its end value." if plan.tables else "."),
         "Every sweep was made with the other axes where they stood then. Rotations of the axes over longer arms, and"
         " the tool length, are not compensated.",
         "The workpiece is not in the model: a warm workpiece is still too long.",
@@ -323,10 +396,13 @@ def _limits(plan: Plan) -> str:
         f" {model.training.instrument or 'not stated'}.",
         *model.notes,
     ]
-    head = ["Error", "Inputs", "Positions, mm", "States", "Residual RMS, µm", "Residual max, µm"]
+    figures = ("Held-out RMS, µm", "Held-out p95, µm", "Held-out max, µm", "In-sample RMS, µm", "In-sample max, µm")
+    head = ["Error", "Inputs", "Positions, mm", "States", *figures]
     return (
-        "<h2>8 Where this is valid</h2>"
-        + _table(head, rows, numeric=(3, 4, 5))
+        "<h2>8 Where this is valid</h2><p>Held-out: what remains on data that the same procedure had not seen; expect"
+        " at least this on the machine. In-sample: what remains on the training states themselves; it is always too"
+        " good. A dash means that nothing could be held out.</p>"
+        + _table(head, rows, numeric=(3, 4, 5, 6, 7, 8))
         + _table(["Sensor", "from, °C", "to, °C", "least rise, K", "largest rise, K"], sensors, numeric=(1, 2, 3, 4))
         + "<ul>"
         + "".join(f"<li>{escape(note)}</li>" for note in notes)

@@ -5,22 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from thetacomp.controllers.base import ExportFile, read_settings
+from thetacomp.controllers.base import Export, ExportFile, read_settings
 from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
+from thetacomp.controllers.sinumerik_remarks import remarks
 from thetacomp.controllers.sinumerik_sheet import commissioning_sheet
 from thetacomp.models.document import ModelDocument
 
+CEC_FILE = "sinumerik_cec.ini"
 
-def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> tuple[ExportFile, ...]:
-    """The files for a SINUMERIK 840D sl or ONE. Raises InputError where the settings do not fit."""
+
+def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> Export:
+    """The files for a SINUMERIK 840D sl or ONE.
+
+    Raises InputError where the settings do not fit, AnalysisError where nothing can be exported.
+    """
     settings = read_settings(settings_path, SinumerikSettings)
     plan = make_plan(model, settings, str(settings_path or "export.toml"))
     files = [ExportFile("sinumerik_temperature_compensation.spf", temperature_program(plan))]
     if plan.tables:
-        files.append(ExportFile("sinumerik_cec.ini", sag_tables(plan)))
+        files.append(ExportFile(CEC_FILE, sag_tables(plan)))
     files.append(ExportFile("sinumerik_values.csv", values_csv(plan)))
-    return (*files, ExportFile("commissioning_sheet.html", commissioning_sheet(plan)))
+    files.append(ExportFile("commissioning_sheet.html", commissioning_sheet(plan)))
+    return Export(tuple(files), remarks(plan), () if plan.tables else (CEC_FILE,))
 
 
-TARGETS: Mapping[str, Callable[[ModelDocument, Path | None], tuple[ExportFile, ...]]] = {"sinumerik": export_sinumerik}
+TARGETS: Mapping[str, Callable[[ModelDocument, Path | None], Export]] = {"sinumerik": export_sinumerik}

@@ -86,25 +86,29 @@ def complete_rows(states: AxisStates, component: int, X: Floats) -> Ints:
     return np.flatnonzero(known)
 
 
-def fit_axis(states: AxisStates, inputs: Sequence[str], key_points: AxisKeyPoints | None = None) -> AxisModel:
+def fit_axis(
+    states: AxisStates, inputs: Sequence[str], key_points: AxisKeyPoints | None = None, constant: bool | None = None
+) -> AxisModel:
     """Fit all components of an axis on the same inputs. Raises AnalysisError where the states are too few.
 
     Where the zero of the states is exact the regression runs through it: no rise, no thermal error. Without inputs it
-    then predicts no error at all, which is no compensation.
+    then predicts no error at all, which is no compensation. `constant` says otherwise.
     """
+    constant = not states.exact_zero if constant is None else constant
     X = input_columns(inputs, states.sensors, states.rise_K, states.elapsed_h)
     regressions = {}
     for k, component in enumerate(states.components):
         rows = complete_rows(states, k, X)
-        if len(rows) <= X.shape[1] + int(not states.exact_zero):
+        if len(rows) <= X.shape[1] + int(constant):
             raise AnalysisError(
-                f"{component}: {len(rows)} complete states cannot determine a model with {len(inputs)} inputs."
-                " Fix: measure more states, or fill the missing values."
+                f"{component}: {len(rows)} complete heated states cannot determine a model with {len(inputs)} inputs;"
+                f" at least {X.shape[1] + int(constant) + 1} are needed, more than ten make it useful."
+                " Fix: measure more heated sweeps, or fill the missing values."
             )
         y = states.intercept_um[rows, k : k + 1]
         if not states.is_drift:
             y = np.column_stack([y, states.slope_um_per_m[rows, k]])
-        regressions[component] = ThermalRegression(fit_intercept=not states.exact_zero).fit(X[rows], y)
+        regressions[component] = ThermalRegression(fit_intercept=constant).fit(X[rows], y)
     return AxisModel(states.axis, tuple(inputs), regressions, key_points)
 
 
@@ -114,8 +118,8 @@ def known_sensors(states: AxisStates) -> tuple[str, ...]:
 
 
 def clock(states: AxisStates) -> AxisModel:
-    """Baseline: regression on elapsed time alone, no thermometer."""
-    return fit_axis(states, (ELAPSED_TIME,))
+    """Baseline: regression on elapsed time alone, no thermometer; with a constant, which makes it a harder rival."""
+    return fit_axis(states, (ELAPSED_TIME,), constant=True)
 
 
 def training_mean(states: AxisStates) -> AxisModel:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from typing import cast
 
@@ -28,6 +28,7 @@ from thetacomp.reading.problems import ProblemList, nearest, quoted
 from thetacomp.reading.sweeps import segment
 from thetacomp.reading.tables import Table
 
+MEASURED = ("sweeps", "drift", "parameters")
 _DIRECTIONS = {"+": 1, "+1": 1, "1": 1, "-": -1, "-1": -1, "−": -1, "": 0}
 
 
@@ -38,11 +39,12 @@ def build(
     tables: Mapping[str, Table],
     machine: Machine,
     problems: ProblemList,
+    unread: Collection[str] = (),
 ) -> Campaign | None:
     """One campaign from its converted tables (by table name). None, with the problems noted, where there are errors.
 
-    `place` names the campaign in messages about more than one table. A table that could not be read is absent here:
-    the others are checked all the same.
+    `place` names the campaign in messages about more than one table. A table that could not be read is absent here
+    and named in `unread`: the others are checked all the same.
     """
     found = ProblemList()
     start_micros, start = _common_start(place, tables, found)
@@ -53,7 +55,7 @@ def build(
     lines = _parameters(tables["parameters"], start_micros, machine, found) if "parameters" in tables else None
     duty = _duty(tables["duty"], start_micros, found) if "duty" in tables else None
     if heat is not None and one_clock and not found.has("time-backward"):
-        _together(place, settings, tables, start_micros, heat, found)
+        _together(place, settings, tables, start_micros, heat, found, unread)
     problems.extend(found)
     if found.has_errors or heat is None:
         return None
@@ -153,6 +155,7 @@ def _sweeps(table: Table, start_micros: int, machine: Machine, problems: Problem
         station=table.texts.get("station"),
         rotation_urad=_rotations(table),
         at_mm=at,
+        direction_given=direction is not None and bool(np.all(direction != 0)),
     )
     if np.all(np.diff(t_s) >= 0):
         checks.sweeps(table, data, problems)
@@ -364,10 +367,11 @@ def _together(
     start_micros: int,
     heat: Temperatures,
     problems: ProblemList,
+    unread: Collection[str],
 ) -> None:
     """What only shows when all tables of the campaign are seen together."""
     checks.duration(tables["temperatures"], heat.t_s, problems)
-    for name in ("sweeps", "drift", "parameters"):
+    for name in MEASURED:
         if name in tables:
             checks.covered(tables[name], tables[name].t_s(start_micros), heat, "the temperature table", problems)
     if "sweeps" in tables and "parameters" in tables:
@@ -377,7 +381,7 @@ def _together(
             "there are sweeps and already separated parameters.",
             "keep one of the two: parameters stand instead of sweeps.",
         )
-    if not {"sweeps", "drift", "parameters"} & set(tables):
+    if not set(MEASURED) & {*tables, *unread}:
         problems.warning(
             "nothing-measured",
             place,

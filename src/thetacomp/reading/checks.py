@@ -177,7 +177,7 @@ def displacements(table: Table, problems: ProblemList) -> None:
         problems.warning(
             "error-unit",
             table.file,
-            f"all errors are below {largest:.3g} µm: are they in mm?",
+            f"the largest error is {largest:.3g} µm: are the errors in mm?",
             "if so, name the columns _mm instead of _um.",
         )
     empty = [name for name in ERRORS if name in table.numbers and not np.isfinite(table.numbers[name]).any()]

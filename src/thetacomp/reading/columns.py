@@ -115,7 +115,7 @@ POSITIONS = Schema(
     | {"axis": Meaning("axis", "text"), "position_mm": Meaning("position_mm")}
     | {"tool_length_mm": Meaning("tool_length_mm")},
     (_TIME_REQUIRED,),
-    known_hint="t_s, axis, position_mm, tool_length_mm, and <axis>_mm for each axis",
+    known_hint="t_s (or t_min, t_h, time), axis, position_mm, tool_length_mm",
 )
 ANY_SENSORS = Schema(TIME, (_TIME_REQUIRED,), free=True)
 

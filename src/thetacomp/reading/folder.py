@@ -10,8 +10,8 @@ from pathlib import Path
 from thetacomp.campaign import Campaign, CampaignSettings, CorrelationTable, MachineFolder
 from thetacomp.errors import InputError, Problem
 from thetacomp.machine import Machine
-from thetacomp.reading import campaigns
-from thetacomp.reading.columns import TABLES, schema
+from thetacomp.reading import campaigns, comparisons
+from thetacomp.reading.columns import TABLES, match, schema
 from thetacomp.reading.correlations import correlation_table
 from thetacomp.reading.machine_file import machine_from_toml, settings_from_toml
 from thetacomp.reading.problems import ProblemList, UnreadableError, nearest, quoted
@@ -80,7 +80,27 @@ def _read(root: Path, problems: ProblemList) -> MachineFolder | None:
     _report_unknown(root, entries, problems)
     if machine is None:
         return None
+    if found and not problems.has_errors:
+        if correlations == [None, None]:
+            _something_measured(found, RECORDING in entries, problems)
+        comparisons.compare(MachineFolder(machine, found), RECORDING in entries, problems)
     return MachineFolder(machine, found, *correlations)
+
+
+def _something_measured(found: tuple[Campaign, ...], recorded: bool, problems: ProblemList) -> None:
+    """Temperatures alone make no model; one error for the folder instead of a warning for each campaign."""
+    if any(getattr(campaign, table) is not None for campaign in found for table in campaigns.MEASURED):
+        return
+    problems.drop("nothing-measured")
+    problems.error(
+        "nothing-measured",
+        RECORDING if recorded else "campaigns",
+        "no campaign has measured errors: there are temperatures alone, and a model cannot be made from them.",
+        "name the columns of the errors under [recording.drift]."
+        if recorded
+        else "add sweeps.csv (errors over position), parameters.csv (separated lines) or drift.csv (errors at a fixed"
+        " position) to campaigns/<date>/, or a sheet of that name.",
+    )
 
 
 def _entries(folder: Path, label: str, problems: ProblemList) -> dict[str, Path] | None:
@@ -183,7 +203,7 @@ def _campaign(folder: Path, name: str, machine: Machine | None, problems: Proble
         elif kind in (".csv", ".parquet") and stem in TABLES:
             tables.add(stem, label, partial(read_source, path, label), problems)
         elif kind == ".xlsx":
-            good &= _add_sheets(path, label, tables, problems)
+            good &= _add_sheets(path, label, tables, machine, problems)
         elif not _is_note(file):
             _report_unknown_table(label, stem, kind, problems)
     if "temperatures" not in tables.getters and good:
@@ -205,11 +225,11 @@ def _campaign(folder: Path, name: str, machine: Machine | None, problems: Proble
         read = load(getter, label, table, schema(table, machine), problems)
         if read is not None:
             loaded[table] = read
-    campaign = campaigns.build(name, place, settings, loaded, machine, problems)
+    campaign = campaigns.build(name, place, settings, loaded, machine, problems, set(tables.getters) - set(loaded))
     return campaign if good and len(loaded) == len(tables.getters) else None
 
 
-def _add_sheets(path: Path, label: str, tables: _Tables, problems: ProblemList) -> bool:
+def _add_sheets(path: Path, label: str, tables: _Tables, machine: Machine | None, problems: ProblemList) -> bool:
     """Take up the sheets of a workbook that are named like tables."""
     try:
         workbook = Workbook(path)
@@ -229,9 +249,23 @@ def _add_sheets(path: Path, label: str, tables: _Tables, problems: ProblemList) 
             "unknown-sheet",
             label,
             f"the sheets {quoted(unknown)} are not read; sheets are named {', '.join(TABLES)}.",
-            "rename the sheets that hold tables.",
+            _renaming(workbook, unknown, machine) or "rename the sheets that hold tables.",
         )
     return True
+
+
+def _renaming(workbook: Workbook, sheets: list[str], machine: Machine | None) -> str:
+    """The name that a single unread sheet should have, where its headers are those of a table of errors."""
+    if machine is None or len(sheets) != 1:
+        return ""
+    try:
+        source = from_sheet(workbook, sheets[0], "")
+    except UnreadableError:
+        return ""
+    for table in campaigns.MEASURED:
+        if match(source, schema(table, machine), ProblemList()) is not None:
+            return f"its columns are those of {table}: rename the sheet to '{table}'."
+    return ""
 
 
 def _is_note(name: str) -> bool:

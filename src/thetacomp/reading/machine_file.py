@@ -42,6 +42,23 @@ _MEANING = {
     "recording": ("what the recording holds", "[recording] with file, time and time_unit"),
 }
 
+# What a value must be, by the start of the name that pydantic gives to the error.
+_WANTED = {
+    "string": 'a text in double quotes, like "text"',
+    "int": "a whole number, without quotes",
+    "float": "a number, without quotes",
+    "finite": "a finite number",
+    "bool": "true or false, without quotes",
+    "tuple": "a list in square brackets, like [0.0, 1000.0]",
+    "list": "a list in square brackets, like [0.0, 1000.0]",
+    "too_": "a list in square brackets, like [0.0, 1000.0]",
+    "missing_positional": "a list in square brackets, like [0.0, 1000.0]",
+    "model": "a section with keys",
+    "dict": "a section with keys",
+    "greater": "a larger number",
+    "less": "a smaller number",
+}
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file in any encoding that `decode` knows. Raises UnreadableError."""
@@ -202,7 +219,8 @@ def translate(
             message = error["msg"].removeprefix("Value error, ")
             problems.error("bad-value", file, f"{where}{f'{key}: ' if key else ''}{message}.", fix)
         else:
-            problems.error("bad-value", file, f"{where}{key} = {found}: {error['msg']}.{says}", fix)
+            wanted = next((words for start, words in _WANTED.items() if kind.startswith(start)), "another value")
+            problems.error("bad-value", file, f"{where}{key} = {found}, expected {wanted}.{says}", fix)
 
 
 def _place(raw: Mapping[str, Any], loc: Sequence[str | int]) -> tuple[str, str]:

@@ -70,6 +70,10 @@ class ProblemList:
         """Take over everything another list found."""
         self._found.extend(other._found)
 
+    def drop(self, code: str) -> None:
+        """Forget all problems of a kind: a better one tells the same."""
+        self._found = [problem for problem in self._found if problem.code != code]
+
     @property
     def has_errors(self) -> bool:
         """Whether anything found so far is an error."""
@@ -102,11 +106,51 @@ class ProblemList:
             raise InputError(errors)
 
 
+_BRACKETED = re.compile(r"\s*[(\[{（【]\s*([^)\]}）】]*?)\s*[)\]}）】]\s*$")
+_UNITS = {"µ": "u", "μ": "u", "/": "_per_", "sec": "s", "hours": "h", "hour": "h", "std": "h", "秒": "s", "分": "min"}
+_ELAPSED_WORDS = ("zeit", "time", "t", "elapsed", "时间", "時間")
+_CLOCK_WORDS = ("datum", "date", "uhrzeit", "zeitstempel", "timestamp", "日期", "日時", "datetime")
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
-    """`, did you mean 'x'?` for the nearest known name, or nothing where none is near."""
-    by_lower = {other.lower(): other for other in known if not _differ_in_number(name, other)}
+    """`, did you mean 'x'?` for the nearest known name, or nothing where none is near.
+
+    A unit in brackets does not count (`T3 (°C)`), or tells which column is meant (`dX [µm]`, `Zeit [s]`).
+    """
+    names = list(known)
+    meant = _with_unit(name, names) or _time_column(name, names)
+    if meant:
+        return f" (did you mean {' or '.join(repr(other) for other in meant)}?)"
+    by_lower = {other.lower(): other for other in names if not _differ_in_number(name, other)}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
     return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
+
+
+def _parted(name: str) -> tuple[str, str]:
+    """A header without its bracketed unit, and the unit as our names write it; both in small letters."""
+    match = _BRACKETED.search(name)
+    unit = match[1].lower() if match else ""
+    for found, ours in _UNITS.items():
+        unit = unit.replace(found, ours)
+    return (name[: match.start()] if match else name).strip().lower(), unit
+
+
+def _with_unit(name: str, known: Sequence[str]) -> list[str]:
+    stem, unit = _parted(name)
+    if stem == name.lower() or not stem:
+        return []
+    by_lower = {other.lower(): other for other in known}
+    candidates = (f"{stem}_{unit}", stem)
+    if stem in _ELAPSED_WORDS:
+        candidates = (f"t_{unit}", stem)
+    return [by_lower[c] for c in candidates if c in by_lower][:1]
+
+
+def _time_column(name: str, known: Sequence[str]) -> list[str]:
+    """Time columns that a word for time may mean, where the table can have them."""
+    stem = _parted(name)[0]
+    wanted = ("t_s", "time") if stem in _ELAPSED_WORDS else ("time",) if stem in _CLOCK_WORDS else ()
+    return [column for column in wanted if column in known]
 
 
 def _differ_in_number(name: str, other: str) -> bool:

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 ROW_NAMES = "row names"
 EXCEL_ERROR = re.compile(r"#[A-ZÄÖÜ0-9/]+[!?]?")  # #DIV/0!, #N/A, #WERT!, …
 
-_NUMERIC = re.compile(r"(?=[^\d]*\d)[\d.,:eETZ\s+-]+")  # numbers, dates and times
+# Numbers, dates and times; a name such as T1 or E5 starts with a letter and is none.
+_NUMERIC = re.compile(r"(?=[^\d]*\d)[\d.,+-][\d.,:eETZ\s+-]*")
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,17 @@ from thetacomp.campaign import Campaign, MachineFolder
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """Size of one campaign. `points` is the number of rows of each table; `duration_s` that of the temperatures."""
+    """Size of one campaign. `points` is the number of rows of each table; `duration_s` that of the temperatures.
+
+    `direction_given` is False where the approach of some sweep was inferred from the motion.
+    """
 
     name: str
     duration_s: float
     sensors: int
     points: dict[str, int]
     sweeps: dict[str, int]
+    direction_given: bool = True
 
 
 @dataclass(frozen=True)
@@ -59,4 +63,5 @@ def _campaign(campaign: Campaign) -> CampaignSummary:
         sensors=len(campaign.temperatures.sensor_ids),
         points={name: len(table.t_s) for name, table in tables.items() if table is not None},
         sweeps=sweeps,
+        direction_given=campaign.sweeps is None or campaign.sweeps.direction_given,
     )

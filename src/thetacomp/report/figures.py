@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.report.figures_error import drift_over_time, error_over_position, geometry_curves
-from thetacomp.report.figures_model import before_and_after, error_over_time, fit_over_temperature
+from thetacomp.report.figures_fit import fit_over_temperature
 from thetacomp.report.figures_temperature import correlation_maps, temperatures_over_time
+from thetacomp.report.figures_validation import before_and_after, error_over_time
 from thetacomp.report.sketch import machine_sketch
 from thetacomp.report.style import NamedFigure
 

@@ -140,7 +140,7 @@ def geometry_curves(analysis: Analysis) -> list[style.NamedFigure]:
         figure.legend(handles, texts, loc="outside upper right", ncols=4)
         caption = (
             "Geometry holds all of the cold state; the band is the 95 % interval of the curve. Reversal is the mean"
-            " distance between both approach directions."
+            " of G(+) \N{MINUS SIGN} G(\N{MINUS SIGN}), with its sign."
         )
         name = "geometry" + (f"_{style.file_label(label, number)}" if label else "")
         title = "Geometry G(p)" + (f", campaign {label}" if label else "")

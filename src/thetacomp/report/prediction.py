@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import f as fisher_f
 from scipy.stats import t as student_t
 
 from thetacomp.analysis_result import Analysis
@@ -35,11 +36,27 @@ def half_band(term: LinearTerm, dof: int, rise_K: Floats) -> Floats:
     return np.asarray(student_t.ppf(0.975, max(dof, 1)) * np.sqrt(np.clip(variance, 0.0, None)))
 
 
+def explains(term: LinearTerm, dof: int, chance: float = 0.05) -> bool:
+    """Whether the inputs explain this term: R² above zero, and coefficients that differ from zero (Wald's F test)."""
+    coefficient = np.asarray(term.coefficients_per_K, dtype=float)
+    if not len(coefficient) or not term.r_squared > 0.0:
+        return False
+    covariance = np.asarray(term.covariance, dtype=float)[1:, 1:]
+    scale = np.sqrt(np.diag(covariance))
+    if not np.all(scale > 0.0):
+        return bool(np.any(coefficient != 0.0))  # a perfect fit has no scatter to test against
+    z = coefficient / scale
+    correlation = covariance / np.outer(scale, scale)
+    statistic = float(z @ np.linalg.pinv(correlation, hermitian=True) @ z) / len(z)
+    return bool(fisher_f.sf(statistic, len(z), max(dof, 1)) <= chance)
+
+
 def reference_degC(analysis: Analysis, state: ComponentSeparation, component: Component) -> Floats | None:
     """Temperatures of the component's inputs where the error counts as zero; None where the campaign lacks one."""
     if analysis.model.training.datum == "common":
         return np.array([component.reference.temperature_degC[i] for i in component.inputs])
-    return inputs_degC(analysis, state, component, np.array([state.reference_s]))
+    while_cold = inputs_degC(analysis, state, component, state.zero_t_s)
+    return None if while_cold is None else np.asarray(while_cold.mean(axis=0))
 
 
 def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: Component, t_s: Floats) -> Floats | None:

@@ -32,6 +32,7 @@ PURPLE, SKY = "#CC79A7", "#56B4E9"
 KEY_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, AMBER, SKY)
 BEFORE = "#5f6670"
 OUTLYING = VERMILLION
+WORSE = "#c62828"
 
 # One colour, marker and name for each model, the same in every picture.
 MODEL_COLORS = {"nothing": BEFORE, "default": BLUE, "clock": AMBER, "one_sensor": GREEN, "paper": PURPLE}
@@ -49,6 +50,8 @@ MODEL_NAMES = {
 TIME_COLORS = LinearSegmentedColormap.from_list(
     "thetacomp_time", matplotlib.colormaps["viridis"](np.linspace(0.0, 0.88, 64))
 )
+CAMPAIGN_MARKS = ("o", "s", "D", "^", "v", "P", "X", "*")
+CAMPAIGN_LINES = ("-", "--", ":", "-.")
 DIRECTION_MARKS = {1: ("+", "-"), -1: ("\N{MINUS SIGN}", "--"), 0: ("", "-")}
 
 # In this order: the first that is installed draws what DejaVu Sans cannot.

@@ -12,11 +12,15 @@ import numpy as np
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign
 from thetacomp.keypoints.result import AxisKeyPoints
+from thetacomp.models.document import Component, LinearTerm, ModelDocument
 from thetacomp.report import style
+from thetacomp.report.prediction import explains
 from thetacomp.separation.result import ComponentSeparation
+from thetacomp.states import LINE_POSITIONS
 from thetacomp.validation.result import ValidationRow
 
 NOT_AVAILABLE = "–"
+NOTHING_CHOSEN = "only sensor with readings: nothing was chosen"
 _MOST_STATES = 24
 POOLED = "all"  # the campaign name of rows over all campaigns
 _MODEL_ORDER = ("default", "clock", "one_sensor", "all_sensors", "training_mean", "nothing")
@@ -71,12 +75,26 @@ class Headline:
 
 
 @dataclass(frozen=True)
+class ValidationLine:
+    """One line of the table: the names of its models, their row, `states` and `points` (None: not told).
+
+    `remark` is told instead of the figures where they are those of the default model.
+    """
+
+    name: str
+    row: ValidationRow
+    states: int | None
+    points: int | None
+    remark: str = ""
+
+
+@dataclass(frozen=True)
 class ValidationGroup:
-    """Rows of one component and campaign, the model first, then the baselines."""
+    """Lines of one component and campaign, the model first, then the baselines."""
 
     component: str
     campaign: str
-    rows: tuple[tuple[str, ValidationRow], ...]
+    lines: tuple[ValidationLine, ...]
 
 
 @dataclass(frozen=True)
@@ -86,6 +104,17 @@ class ValidationTable:
     title: str
     groups: tuple[ValidationGroup, ...]
     folded: bool
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One component of a model in print: equation, and R² in-sample of intercept and slope, or why there is none."""
+
+    text: str
+    part: Component
+    intercept: str
+    slope: str
+    remark: str
 
 
 @dataclass(frozen=True)
@@ -168,7 +197,9 @@ def key_points(analysis: Analysis) -> list[KeyPoint]:
     for points in analysis.key_points:
         for sensor in points.key_points:
             location = machine.sensor(sensor).location if sensor in machine.sensor_ids else ""
-            found.append(KeyPoint(axis_name(points), sensor, location, _reason(points, sensor)))
+            only = nothing_was_chosen(analysis, points)
+            reason = NOTHING_CHOSEN if only else _reason(points, sensor)
+            found.append(KeyPoint(axis_name(points), sensor, location, reason))
     return found
 
 
@@ -190,6 +221,39 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """A number with its noun: `1 axis`, `2 axes`."""
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def sensors_with_readings(analysis: Analysis, parts: Sequence[ComponentSeparation]) -> int:
+    """Number of sensors that have readings in every campaign of these separations."""
+    known = [set(analysis.folder.campaign(s.campaign).temperatures.sensor_ids) for s in parts]
+    return len(set.intersection(*known)) if known else 0
+
+
+def nothing_was_chosen(analysis: Analysis, points: AxisKeyPoints) -> bool:
+    """Whether the key point of an axis is the only sensor that has readings."""
+    mine = [s for s in analysis.separations if (s.axis or "") == points.axis]
+    return bool(points.key_points) and sensors_with_readings(analysis, mine) == 1
+
+
+def equations(analysis: Analysis, document: ModelDocument) -> list[Equation]:
+    """The equations of a model with what each of its two terms explains in-sample."""
+    found = []
+    for name, part in document.components.items():
+        remark = "" if part.inputs else f"{name}: no sensor predicts this component; nothing is compensated."
+        slope = _explained(part.slope, part) if part.slope is not None else NOT_AVAILABLE
+        found.append(Equation(part.equation, part, _explained(part.intercept, part), slope, remark))
+    return found
+
+
+def _explained(term: LinearTerm, part: Component) -> str:
+    if not part.inputs:
+        return NOT_AVAILABLE
+    return number(term.r_squared, 2) if explains(term, part.dof) else "not explained"
+
+
 def validation_tables(analysis: Analysis) -> list[ValidationTable]:
     """For each kind of hold-out one table; where there are several campaigns, each of them folded behind it."""
     tables = []
@@ -197,24 +261,64 @@ def validation_tables(analysis: Analysis) -> list[ValidationTable]:
         rows = [row for row in analysis.validation if row.split == split]
         title = sentence(split_words(split))
         main = pooled(rows)
-        tables.append(ValidationTable(title, _groups(main), False))
+        tables.append(ValidationTable(title, _groups(analysis, main), False))
         apart = [row for row in rows if row not in main]
         for campaign in dict.fromkeys(row.campaign for row in apart):
             own = [row for row in apart if row.campaign == campaign]
-            tables.append(ValidationTable(f"{title}: campaign {campaign}", _groups(own), True))
+            tables.append(ValidationTable(f"{title}: campaign {campaign}", _groups(analysis, own), True))
     return tables
 
 
-def _groups(rows: Sequence[ValidationRow]) -> tuple[ValidationGroup, ...]:
-    return tuple(_group(rows, *key) for key in dict.fromkeys((r.component, r.campaign) for r in rows))
+def _groups(analysis: Analysis, rows: Sequence[ValidationRow]) -> tuple[ValidationGroup, ...]:
+    return tuple(_group(analysis, rows, *key) for key in dict.fromkeys((r.component, r.campaign) for r in rows))
 
 
-def _group(rows: Sequence[ValidationRow], component: str, campaign: str) -> ValidationGroup:
+def _group(analysis: Analysis, rows: Sequence[ValidationRow], component: str, campaign: str) -> ValidationGroup:
     mine = [r for r in rows if r.component == component and r.campaign == campaign]
     rank = {model: k for k, model in enumerate(_MODEL_ORDER)}
     mine.sort(key=lambda r: rank.get(r.model, 1.5))
-    named = tuple((style.MODEL_NAMES.get(r.model, r.model), r) for r in mine)
-    return ValidationGroup(component_name(component), "all campaigns" if campaign == POOLED else campaign, named)
+    default = next((r for r in mine if r.model == "default"), None)
+    same = [r for r in mine if default is not None and r is not default and _same_figures(r, default)]
+    lines = [_line(analysis, style.MODEL_NAMES.get(r.model, r.model), r) for r in mine if r not in same]
+    if same:
+        names = ", ".join(style.MODEL_NAMES.get(r.model, r.model) for r in same)
+        parts = [s for s in analysis.separations if _belongs(analysis, s, component)]
+        only = sensors_with_readings(analysis, parts) == 1
+        why = "only one sensor has readings" if only else "they use the same inputs"
+        lines.insert(1, _line(analysis, names, same[0], f"same as default: {why}"))
+    label = "all campaigns" if campaign == POOLED else campaign
+    return ValidationGroup(component_name(component), label, tuple(lines))
+
+
+def _same_figures(one: ValidationRow, other: ValidationRow) -> bool:
+    fields = ("max_after_um", "p95_after_um", "rms_after_um", "rms_in_sample_um")
+    return one.model != "nothing" and all(
+        math.isclose(getattr(one, f), getattr(other, f), rel_tol=1e-9) for f in fields
+    )
+
+
+def _belongs(analysis: Analysis, part: ComponentSeparation, component: str) -> bool:
+    """Whether a separation stands behind a component, or behind the column deviation of its direction."""
+    if not component.startswith("column_"):
+        return part.component == component
+    vertical = [axis.name for axis in analysis.folder.machine.axes if axis.direction.endswith("Y")]
+    return part.axis in vertical and part.direction == component.removeprefix("column_")
+
+
+def _line(analysis: Analysis, name: str, row: ValidationRow, remark: str = "") -> ValidationLine:
+    """States and points of a row: already separated lines and drift have states alone, no measured points."""
+    parts = [s for s in analysis.separations if s.component == row.component]
+    if row.component.startswith("column_") or all(s.axis is None for s in parts):
+        return ValidationLine(name, row, row.n, None, remark)
+    if all(s.points is None for s in parts):
+        return ValidationLine(name, row, row.n // LINE_POSITIONS, None, remark)
+    states = [
+        len(item.t_s)
+        for item in analysis.held_out
+        if item.component == row.component and row.campaign in (item.campaign, POOLED)
+    ]
+    known = states and row.split == main_split(analysis)
+    return ValidationLine(name, row, sum(states) if known else None, row.n, remark)
 
 
 def date_words(created: str) -> str:
@@ -259,16 +363,17 @@ def campaign_lines(analysis: Analysis) -> list[CampaignLine]:
 
 def _content(analysis: Analysis, campaign: Campaign) -> str:
     sensors = len(campaign.temperatures.sensor_ids)
-    content = [f"{sensors} sensor{'s' if sensors != 1 else ''}, {len(campaign.temperatures.t_s)} temperature rows"]
+    rows = len(campaign.temperatures.t_s)
+    content = [f"{counted(sensors, 'sensor')}, {counted(rows, 'temperature row')}"]
     if campaign.sweeps is not None:
         sweeps = campaign.sweeps
-        content.append(f"{len(np.unique(sweeps.sweep))} sweeps, {len(sweeps.t_s)} points")
+        content.append(f"{counted(len(np.unique(sweeps.sweep)), 'sweep')}, {counted(len(sweeps.t_s), 'point')}")
     if campaign.drift is not None:
-        content.append(f"{len(campaign.drift.t_s)} drift rows")
+        content.append(counted(len(campaign.drift.t_s), "drift row"))
     if campaign.parameters is not None:
         content.append("slopes and intercepts as given")
     mine = [s for s in analysis.separations if s.campaign == campaign.name]
     axes = list(dict.fromkeys(s.axis for s in mine if s.axis is not None))
     if axes:
-        content.append(f"moving axes {', '.join(axes)}")
+        content.append(f"moving {'axis' if len(axes) == 1 else 'axes'} {', '.join(axes)}")
     return "; ".join(content)

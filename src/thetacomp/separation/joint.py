@@ -44,7 +44,6 @@ class ComponentData:
     error_um: Floats
     middle_s: Floats
     cold: Bools
-    reference_s: float
     p0_mm: float
     angle_sd_urad: float
 
@@ -77,10 +76,11 @@ def lever_m(data: ComponentData) -> Floats:
 def state_weights(data: ComponentData, states: Ints) -> Floats:
     """Matrix (n, m) with `I(t_i) = Σ_j W_ij I_j`: the value of the point's own sweep plus its rate times the offset.
 
-    The nodes are the reference (zero) and the heated sweeps; the rate at a node is that of the parabola through it
-    and its neighbours (at the last one, through the last three). Rows of cold sweeps are zero.
+    The nodes are the end of the cold sweeps (zero) and the heated sweeps; the rate at a node is that of the parabola
+    through it and its neighbours (at the last one, through the last three). Rows of cold sweeps are zero.
     """
-    times = np.concatenate([[min(data.reference_s, data.middle_s[states].min() - 1.0)], data.middle_s[states]])
+    cold_end_s = data.t_s[data.cold[data.sweep]].max()
+    times = np.concatenate([[cold_end_s], data.middle_s[states]])
     rates = _rate_matrix(times)
     weights = np.zeros((len(data.t_s), len(states)))
     for j, state in enumerate(states):

@@ -8,6 +8,9 @@ import numpy as np
 
 from thetacomp.campaign import Campaign, Floats, Ints, SweepPoints
 from thetacomp.errors import AnalysisError
+from thetacomp.separation.result import Bools
+
+DRIFT_WINDOW_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,14 @@ def _cold_block_length(axes: tuple[str, ...]) -> int:
     return len(axes)
 
 
+def drift_window(t_s: Floats, reference_s: float) -> Bools:
+    """Samples of a drift record in which its zero is taken: the five minutes up to the reference, else the nearest."""
+    inside = (t_s <= reference_s) & (t_s >= reference_s - DRIFT_WINDOW_S)
+    if not inside.any():
+        inside = np.arange(len(t_s)) == int(np.argmin(np.abs(t_s - reference_s)))
+    return np.asarray(inside, dtype=bool)
+
+
 def cold_block_change_K(campaign: Campaign, reference_s: float) -> Floats:
     """How much every sensor moves from the first measured point to the reference, in K, (sensors,)."""
     start_s = reference_s if campaign.sweeps is None else min(reference_s, float(campaign.sweeps.t_s.min()))
@@ -72,21 +83,15 @@ def cold_block_change_K(campaign: Campaign, reference_s: float) -> Floats:
     return np.asarray(last - first)
 
 
-def reference_temperatures_degC(campaign: Campaign, reference_s: float) -> Floats:
-    """Temperatures of the cold state, shape (sensors,).
-
-    The mean over the samples of the cold block (from the first measured point to `reference_s`), which is the time
-    in which the cold geometry was measured; with fewer than two samples there, the value at `reference_s`.
-    """
-    temperatures = campaign.temperatures
-    start_s = reference_s
-    if campaign.sweeps is not None:
-        start_s = min(start_s, float(campaign.sweeps.t_s.min()))
-    inside = (temperatures.t_s >= start_s) & (temperatures.t_s <= reference_s)
-    at_reference: Floats = temperatures.at(np.array([reference_s]))[0]
-    if np.count_nonzero(inside) < 2:
-        return np.asarray(at_reference)
-    block = temperatures.value_degC[inside]
-    counts = np.isfinite(block).sum(axis=0)
-    sums = np.nansum(block, axis=0)
-    return np.where(counts > 0, sums / np.maximum(counts, 1), at_reference)
+def refuse_reference_in_a_sweep(campaign: Campaign, reference_s: float) -> None:
+    """The cold block ends between two sweeps. Raises AnalysisError where the stated reference cuts one."""
+    if campaign.sweeps is None:
+        return
+    table = sweep_table(campaign.sweeps)
+    for axis, start_s, end_s in zip(table.axis, table.start_s, table.end_s, strict=True):
+        if start_s < reference_s < end_s - 1.0:
+            raise AnalysisError(
+                f"campaign {campaign.name}: reference_s = {reference_s:g} lies inside a sweep of axis {axis}"
+                f" ({start_s:g} to {end_s:g} s), so it is not clear whether that sweep is cold."
+                " Fix: set reference_s to the end of the last cold sweep, or leave it out."
+            )

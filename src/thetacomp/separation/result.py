@@ -70,7 +70,8 @@ class ComponentSeparation:
     """One error component in one campaign, states in order of time.
 
     `component` is a name of ISO 230-1 such as `EYX` (moving `axis` "X") or, at a fixed position, `DX` (`axis` None,
-    slope zero). At `reference_s` slope and intercept are zero; `cold` marks the states that define it. Where the
+    slope zero). Slope and intercept are zero over the times `zero_t_s` at which the cold state was measured;
+    `reference_s` ends the cold block and `cold` marks its states. Where the
     parameters came already separated, `cold_intercept_um` and `cold_slope_um_per_m` hold what they were in the cold
     state (that is geometry, and is subtracted here), the standard errors are NaN, and `points`, `geometry` and
     `linearity` are absent. A missing value is NaN.
@@ -84,6 +85,7 @@ class ComponentSeparation:
     p_min_mm: float
     p_max_mm: float
     reference_s: float
+    zero_t_s: Floats
     sweep: Ints
     t_s: Floats
     cold: Bools

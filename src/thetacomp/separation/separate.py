@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Parameters
+from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Parameters, SweepPoints
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine
 from thetacomp.separation.joint import ComponentData, JointFit, fit_component, shape_change
-from thetacomp.separation.reference import reference_time_s, sweep_table
+from thetacomp.separation.reference import (
+    drift_window,
+    reference_time_s,
+    refuse_reference_in_a_sweep,
+    sweep_table,
+)
 from thetacomp.separation.result import ComponentSeparation, GeometryCurve, LinearityTest, Points
 
 GRID_POINTS = 101
@@ -28,6 +33,7 @@ def separate_campaign(machine: Machine, campaign: Campaign) -> tuple[ComponentSe
     Raises AnalysisError where an axis has too few points, or where the reference lies outside the measurements.
     """
     reference_s = reference_time_s(campaign)
+    refuse_reference_in_a_sweep(campaign, reference_s)
     results: list[ComponentSeparation] = []
     if campaign.sweeps is not None:
         for axis in machine.axes:
@@ -42,6 +48,7 @@ def separate_campaign(machine: Machine, campaign: Campaign) -> tuple[ComponentSe
 def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[ComponentSeparation]:
     points = campaign.sweeps
     assert points is not None
+    _refuse_what_cannot_be_separated(axis, campaign, points)
     rows = np.array([name == axis.name for name in points.axis], dtype=bool)
     if not rows.any():
         return []
@@ -79,7 +86,6 @@ def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[C
             error_um=points.error_um[usable, index],
             middle_s=np.array([points.t_s[usable & (points.sweep == sweep)].mean() for sweep in own]),
             cold=cold,
-            reference_s=reference_s,
             p0_mm=float(np.mean(axis.travel_mm)),
             angle_sd_urad=(campaign.settings.instrument_u_um_per_m or 0.0) / 2.0,
         )
@@ -88,12 +94,35 @@ def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[C
                 f"campaign {campaign.name}: axis {axis.name} was measured at fewer than 3 positions."
                 " Fix: sweeps need targets spread over the travel."
             )
-        results.append(_component(axis, campaign, direction, data, np.array(own), notes))
+        results.append(_component(axis, campaign, direction, data, np.array(own), reference_s, notes))
     return results
 
 
+def _refuse_what_cannot_be_separated(axis: Axis, campaign: Campaign, points: SweepPoints) -> None:
+    """A common datum and a change of station need ties between sweeps that a single axis does not give."""
+    if campaign.settings.datum == "common":
+        raise AnalysisError(
+            f'campaign {campaign.name}: datum = "common" cannot be kept by sweeps, which are referred to their own cold'
+            ' block. Fix: set datum = "campaign", or give drift.csv or parameters.csv.'
+        )
+    if points.station is not None:
+        used = dict.fromkeys(s for s, name in zip(points.station, points.axis, strict=True) if name == axis.name)
+        if len(used) > 1:
+            raise AnalysisError(
+                f"campaign {campaign.name}: the sweeps of axis {axis.name} come from the stations {', '.join(used)};"
+                " the step between two stations would be taken for heat. Fix: bring all points into one frame through"
+                " the foundation targets and leave the column `station` out, or give each station a campaign."
+            )
+
+
 def _component(
-    axis: Axis, campaign: Campaign, direction: str, data: ComponentData, own: np.ndarray, notes: list[str]
+    axis: Axis,
+    campaign: Campaign,
+    direction: str,
+    data: ComponentData,
+    own: np.ndarray,
+    reference_s: float,
+    notes: list[str],
 ) -> ComponentSeparation:
     fit = fit_component(data)
     count = len(own)
@@ -128,7 +157,8 @@ def _component(
         p0_mm=data.p0_mm,
         p_min_mm=float(data.position_mm.min()),
         p_max_mm=float(data.position_mm.max()),
-        reference_s=data.reference_s,
+        reference_s=reference_s,
+        zero_t_s=data.t_s[data.cold[data.sweep]],
         sweep=own,
         t_s=data.middle_s,
         cold=data.cold,
@@ -207,9 +237,14 @@ def _from_parameters(campaign: Campaign, table: Parameters, reference_s: float) 
         t_s = table.t_s[rows]
         cold = t_s <= reference_s + 1.0
         is_drift = component[0] == "D"
-        intercept = table.intercept_um[rows]
         slope = np.zeros(len(rows)) if is_drift else table.slope_um_per_m[rows]
+        p0_mm = np.zeros(len(rows)) if is_drift else table.p0_mm[rows]
+        # One P0 for all rows of a component: changing it changes the intercept, never the line.
+        intercept = table.intercept_um[rows] + slope * (p0_mm[0] - p0_mm) / 1000.0
         cold_intercept, cold_slope = _cold_value(intercept, cold), _cold_value(slope, cold)
+        if campaign.settings.datum == "common":
+            # The zero belongs to all campaigns together: nothing is referred to this campaign's cold state.
+            cold_intercept = cold_slope = 0.0
         notes: tuple[str, ...] = ()
         if not np.isfinite([cold_intercept, cold_slope]).all():
             cold_intercept = cold_slope = 0.0
@@ -223,10 +258,11 @@ def _from_parameters(campaign: Campaign, table: Parameters, reference_s: float) 
                 component=component,
                 direction=component[1],
                 axis=None if is_drift else component[2:],
-                p0_mm=float(table.p0_mm[rows[0]]),
-                p_min_mm=float(np.nanmin(table.p_min_mm[rows])),
-                p_max_mm=float(np.nanmax(table.p_max_mm[rows])),
+                p0_mm=float(p0_mm[0]),
+                p_min_mm=0.0 if is_drift else float(np.nanmin(table.p_min_mm[rows])),
+                p_max_mm=0.0 if is_drift else float(np.nanmax(table.p_max_mm[rows])),
                 reference_s=reference_s,
+                zero_t_s=t_s[cold] if cold.any() else t_s[:1],
                 sweep=np.searchsorted(moments, t_s),
                 t_s=t_s,
                 cold=cold,
@@ -259,9 +295,7 @@ def _from_drift(campaign: Campaign, reference_s: float) -> list[ComponentSeparat
         if not good.any():
             continue
         t_s, error = drift.t_s[good], drift.error_um[good, index]
-        cold = t_s <= reference_s
-        if not cold.any():
-            cold[0] = True
+        cold = drift_window(t_s, reference_s)
         # With a common datum the zero belongs to all campaigns together and must not be set anew.
         zero = float(error[cold].mean()) if campaign.settings.datum == "campaign" else 0.0
         nan, zeros = np.full(len(t_s), np.nan), np.zeros(len(t_s))
@@ -275,6 +309,7 @@ def _from_drift(campaign: Campaign, reference_s: float) -> list[ComponentSeparat
                 p_min_mm=0.0,
                 p_max_mm=0.0,
                 reference_s=reference_s,
+                zero_t_s=t_s[cold],
                 sweep=np.flatnonzero(good),
                 t_s=t_s,
                 cold=cold if campaign.settings.datum == "campaign" else np.zeros(len(t_s), dtype=bool),

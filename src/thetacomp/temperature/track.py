@@ -55,7 +55,7 @@ def history_layout(campaigns: Sequence[Campaign]) -> HistoryLayout | None:
     )
 
 
-def history_track(campaign: Campaign, layout: HistoryLayout, reference_s: float) -> HistoryTrack:
+def history_track(campaign: Campaign, layout: HistoryLayout, zero_t_s: Floats) -> HistoryTrack:
     """Run the filters over a campaign; at rest on its first sample or on that of what came before."""
     parts = [(campaign.temperatures, campaign.duty)]
     if campaign.before is not None:
@@ -68,7 +68,7 @@ def history_track(campaign: Campaign, layout: HistoryLayout, reference_s: float)
     inputs = history_inputs(layout, t_s, degC, speed_rpm)
     own = t_s >= campaign.temperatures.t_s[0]
     track = HistoryTrack(t_s[own], inputs[own], np.zeros(inputs.shape[1]))
-    return replace(track, reference=track.absolute(np.array([reference_s]))[0])
+    return replace(track, reference=track.absolute(zero_t_s).mean(axis=0))
 
 
 def _speed_rpm(duty: Duty | None, t_s: Floats) -> Floats:

@@ -10,6 +10,7 @@ import numpy as np
 from thetacomp.campaign import Floats, Ints
 from thetacomp.errors import AnalysisError
 from thetacomp.models.axis_model import AnyProcedure, Predictor
+from thetacomp.separation.result import Bools
 from thetacomp.states import AxisStates, Samples
 from thetacomp.validation.folds import Fold
 from thetacomp.validation.result import HeldOutStates, ValidationRow
@@ -57,7 +58,7 @@ def held_out_residuals(
 
 def _nothing(states: AxisStates, split: str, component: int, tested: Ints) -> Residuals:
     samples = states.samples[component]
-    chosen = np.isin(samples.state, tested)
+    chosen = _judged(states, samples, tested)
     value = samples.value_um[chosen]
     nan = np.full(len(value), np.nan)
     state = samples.state[chosen]
@@ -77,7 +78,7 @@ def _residuals(
     samples, label = states.samples[component], states.components[component]
     parts = []
     for fold, model in fitted:
-        chosen = np.isin(samples.state, fold.test)
+        chosen = _judged(states, samples, fold.test)
         value, half_width = model.predict(label, states, _some(samples, chosen))
         parts.append((np.flatnonzero(chosen), value, half_width))
     rows = np.concatenate([part[0] for part in parts])
@@ -100,6 +101,12 @@ def _residuals(
         half_width_um=half_width[known],
         in_sample_um=(value - flattering)[known],
     )
+
+
+def _judged(states: AxisStates, samples: Samples, tested: Ints) -> Bools:
+    """Samples of the tested states; a cold state that is zero by definition proves nothing and is left out."""
+    chosen = np.isin(samples.state, tested)
+    return chosen & ~states.cold[samples.state] if states.exact_zero else chosen
 
 
 def _some(samples: Samples, chosen: Ints | np.ndarray) -> Samples:
