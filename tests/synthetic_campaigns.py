@@ -1,9 +1,10 @@
 """A synthetic machine in a hall: nodes that store heat, sensors that are placed badly, a displacement no sensor sees.
 
 Eleven nodes obey `C dT/dt = -Σ conductances × differences + sources`, solved exactly from sample to sample. Eight of
-them carry a sensor, which also feels its neighbour and the air; the displacement is a weighted sum over all nodes, so the three hidden ones put it outside the
-span of the sensors. In `WINTER` the hall is even and cool. In `SUMMER` it is warmer, swings more over the day, and
-the sun lies on one side of the column, where no sensor sits.
+them carry a sensor, which also feels its neighbour and the air. The displacement is a weighted sum over all nodes, so
+the three hidden ones put it outside the span of the sensors; the side of the column gets a draught that no sensor
+feels. In `WINTER` the hall is even and cool. In `SUMMER` it is warmer, swings more over the day, and the sun comes to
+the hidden side of the column.
 """
 
 from __future__ import annotations
@@ -74,15 +75,16 @@ class SyntheticMachine:
         step_s: float = 300.0,
         ramp_to: Season | None = None,
     ) -> Recording:
-        """Campaigns of random duty; with `ramp_to` the season moves linearly to another one over each campaign."""
+        """Campaigns of random duty; with `ramp_to` the season moves to another one, a step with each campaign."""
         n = int(hours * 3600 / step_s)
         t_s = np.arange(n) * step_s
-        share = np.zeros(n) if ramp_to is None else t_s / t_s[-1]
+        share = (np.zeros(campaigns) if ramp_to is None else np.linspace(0.0, 1.0, campaigns))[:, None]
         last = season if ramp_to is None else ramp_to
         mean_degC = season.mean_degC + share * (last.mean_degC - season.mean_degC)
-        swing_K = rng.uniform(*season.swing_K, (campaigns, 1)) * (1 - share) + rng.uniform(
-            *last.swing_K, (campaigns, 1)
-        ) * share
+        swing_K = (
+            rng.uniform(*season.swing_K, (campaigns, 1)) * (1 - share)
+            + rng.uniform(*last.swing_K, (campaigns, 1)) * share
+        )
         sun_K_per_h = season.sun_K_per_h + share * (last.sun_K_per_h - season.sun_K_per_h)
         begin_s = rng.uniform(0, DAY_S / 3, (campaigns, 1))
         day = 2 * np.pi * (begin_s + t_s) / DAY_S
@@ -92,7 +94,11 @@ class SyntheticMachine:
         draught_K = rng.normal(0, 2.0, (campaigns, 1)) * np.sin(np.pi * t_s / (6 * 3600))
         sun = sun_K_per_h * np.maximum(-np.cos(day), 0.0)
         nodes = self._nodes(air, duty, sun + self.air_per_h[HIDDEN_COLUMN] * draught_K, step_s)
-        seen = nodes @ self.placement.T + air[:, :, None] * (1 - self.placement.sum(axis=1)) + rng.normal(0, 0.04, (campaigns, n, SENSED))
+        seen = (
+            nodes @ self.placement.T
+            + air[:, :, None] * (1 - self.placement.sum(axis=1))
+            + rng.normal(0, 0.04, (campaigns, n, SENSED))
+        )
         moved = (nodes - nodes[:, :1]) @ self.um_per_K + rng.normal(0, 0.5, (campaigns, n))
         return Recording(
             t_s=np.tile(t_s, campaigns),

@@ -19,7 +19,7 @@ import numpy as np
 
 from thetacomp.campaign import Floats
 
-Action = Literal["adapted", "limited", "gated", "alarm", "blocked", "acknowledged", "reverted"]
+Action = Literal["adapted", "limited", "gated", "alarm", "blocked", "acknowledged", "absorbed", "reverted"]
 
 
 @dataclass(frozen=True)
@@ -131,10 +131,12 @@ def take_probe(state: Adaptation, probe: Probe, limits: Limits) -> tuple[Adaptat
         alarm = count >= limits.alarm_after
         reason = f"{innovation:+.1f} µm lies outside the gate of ±{gate_um:.1f} µm, probe {count} in a row"
         return change(replace(state, gated=count, alarm=alarm), "alarm" if alarm else "gated", reason)
-    value, covariance = _update(before, _walked(state, probe.t_s, limits), h, innovation, limits)
+    walked = _walked(state, probe.t_s, limits)
+    value, covariance = _update(before, walked, h, innovation, limits)
     bounded = _bounded(before, value, limits)
-    after = Adaptation(probe.t_s, tuple(float(v) for v in bounded), _rows(covariance))
     limited = bool(np.any(bounded != value))
+    # a step cut short has not used what the probe told: the next one must find the same readiness to learn
+    after = Adaptation(probe.t_s, tuple(float(v) for v in bounded), _rows(walked if limited else covariance))
     reason = f"{innovation:+.1f} µm inside the gate of ±{gate_um:.1f} µm" + (", step limited" if limited else "")
     return change(after, "limited" if limited else "adapted", reason)
 
@@ -148,6 +150,16 @@ def acknowledge(state: Adaptation, t_s: float, reason: str) -> tuple[Adaptation,
     """End an alarm: probes count again. What was learnt before the alarm stays."""
     after = replace(state, gated=0, alarm=False)
     return after, Change(t_s, "acknowledged", reason, None, None, state, after)
+
+
+def absorb(state: Adaptation, t_s: float, carried_um: float, limits: Limits, reason: str) -> tuple[Adaptation, Change]:
+    """Take over an offset that was carried from another model, just before the probe that will correct it.
+
+    The output does not move, unless the bound of the offset cuts it.
+    """
+    offset_um = min(max(state.offset_um + carried_um, -limits.offset_most_um), limits.offset_most_um)
+    after = replace(state, value=(offset_um, *state.slopes))
+    return after, Change(t_s, "absorbed", reason, None, None, state, after)
 
 
 def uncertainty_um(state: Adaptation, t_s: float, half_width_um: float, limits: Limits) -> float:
@@ -186,9 +198,7 @@ def _walked(state: Adaptation, t_s: float, limits: Limits) -> Floats:
     return walked
 
 
-def _update(
-    value: Floats, covariance: Floats, h: Floats, innovation: float, limits: Limits
-) -> tuple[Floats, Floats]:
+def _update(value: Floats, covariance: Floats, h: Floats, innovation: float, limits: Limits) -> tuple[Floats, Floats]:
     """One Kalman update in Joseph's form, which keeps the covariance symmetric and positive."""
     noise = limits.probe_sd_um**2
     gain = covariance @ h / (float(h @ covariance @ h) + noise)

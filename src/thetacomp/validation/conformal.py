@@ -108,26 +108,28 @@ def conformal_quantile(scores: Floats, campaign: NDArray[Any], level: float) -> 
 
 
 def crossed_quantile(scores: Floats, campaign: NDArray[Any], level: float) -> float:
-    """The smallest pooled quantile of scores (n,) that holds `level` of the campaigns it is not made from.
+    """The smallest quantile of scores (n,) that holds `level` of the campaigns it is not made from.
 
-    Every campaign is judged by the quantile of the others at one common pooled level, which rises from `level` until
-    the mean share inside reaches `level`. It never exceeds `conformal_quantile`, which is the answer to the worst
-    case, where a whole campaign lies either inside or outside.
+    Every campaign is judged by the quantile of the others at one common guaranteed level, which rises towards `level`
+    until the mean share inside reaches `level`. At the latest this is `conformal_quantile`, the answer to the worst
+    case, in which a campaign lies wholly inside or outside. Infinite where m is too small for the level.
     """
     labels, index = np.unique(campaign, return_inverse=True)
     m = len(labels)
-    highest = level * (m + 1) / m
-    if highest > 1.0 + 1e-12:
+    if level > attainable_level(m) + 1e-12:
         return math.inf
-    tries = np.linspace(level, min(highest, 1.0), _TRIES)
+    guaranteed = np.linspace(level * m / (m + 1), level, _TRIES)
     inside = np.zeros(_TRIES)
     for k in range(m):
         own = index == k
-        limits = _pooled_quantile(scores[~own], campaign_weights(index[~own]), tries)
+        limits = _pooled_quantile(scores[~own], campaign_weights(index[~own]), guaranteed * m / (m - 1))
         inside += np.mean(scores[own][:, None] <= limits, axis=0) / m
-    enough = np.flatnonzero(inside >= level)
-    chosen = tries[enough[0]] if len(enough) else tries[-1]
-    return float(_pooled_quantile(scores, campaign_weights(campaign), chosen))
+    if inside[-1] < level - 1e-12:
+        return conformal_quantile(scores, campaign, level)
+    # of the tries that hold the same share the highest: the share moves in steps where rows fall in or out together
+    share = inside[inside >= level - 1e-12].min()
+    chosen = guaranteed[np.flatnonzero(inside <= share + 1e-12)[-1]]
+    return conformal_quantile(scores, campaign, float(chosen))
 
 
 def _pooled_quantile(scores: Floats, weights: Floats, level: float | Floats) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from thetacomp.campaign import Floats, Ints
 from thetacomp.errors import AnalysisError
 from thetacomp.models.axis_model import AxisModel, Procedure
-from thetacomp.states import AxisStates, Samples
+from thetacomp.states import AxisStates
 from thetacomp.validation.folds import Fold
 from thetacomp.validation.result import ValidationRow
 
@@ -78,7 +78,7 @@ def _residuals(
     parts = []
     for fold, model in fitted:
         chosen = np.isin(samples.state, fold.test)
-        value, half_width = model.predict(label, states, _some(samples, chosen))
+        value, half_width = model.predict(label, states, samples.take(chosen))
         parts.append((np.flatnonzero(chosen), value, half_width))
     rows = np.concatenate([part[0] for part in parts])
     order = np.argsort(rows, kind="stable")
@@ -86,7 +86,7 @@ def _residuals(
     predicted = np.concatenate([part[1] for part in parts])[order]
     half_width = np.concatenate([part[2] for part in parts])[order]
     value = samples.value_um[rows]
-    flattering, _ = whole.predict(label, states, _some(samples, rows))
+    flattering, _ = whole.predict(label, states, samples.take(rows))
     known = np.isfinite(predicted)
     state = samples.state[rows][known]
     return Residuals(
@@ -99,17 +99,6 @@ def _residuals(
         after_um=(value - predicted)[known],
         half_width_um=half_width[known],
         in_sample_um=(value - flattering)[known],
-    )
-
-
-def _some(samples: Samples, chosen: Ints | np.ndarray) -> Samples:
-    return Samples(
-        state=samples.state[chosen],
-        lever_m=samples.lever_m[chosen],
-        value_um=samples.value_um[chosen],
-        elapsed_h=samples.elapsed_h[chosen],
-        rise_K=samples.rise_K[chosen],
-        noise_sd_um=samples.noise_sd_um[chosen],
     )
 
 
