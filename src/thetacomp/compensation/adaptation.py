@@ -131,12 +131,11 @@ def take_probe(state: Adaptation, probe: Probe, limits: Limits) -> tuple[Adaptat
         alarm = count >= limits.alarm_after
         reason = f"{innovation:+.1f} µm lies outside the gate of ±{gate_um:.1f} µm, probe {count} in a row"
         return change(replace(state, gated=count, alarm=alarm), "alarm" if alarm else "gated", reason)
-    walked = _walked(state, probe.t_s, limits)
-    value, covariance = _update(before, walked, h, innovation, limits)
+    value, covariance = _update(before, _walked(state, probe.t_s, limits), h, innovation, limits)
     bounded = _bounded(before, value, limits)
     limited = bool(np.any(bounded != value))
-    # a step cut short has not used what the probe told: the next one must find the same readiness to learn
-    after = Adaptation(probe.t_s, tuple(float(v) for v in bounded), _rows(walked if limited else covariance))
+    # the covariance goes on as if nothing had been cut: what asks for the next probe must not depend on the error
+    after = Adaptation(probe.t_s, tuple(float(v) for v in bounded), _rows(covariance))
     reason = f"{innovation:+.1f} µm inside the gate of ±{gate_um:.1f} µm" + (", step limited" if limited else "")
     return change(after, "limited" if limited else "adapted", reason)
 
