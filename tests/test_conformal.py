@@ -114,7 +114,9 @@ def test_crossed_quantile_lies_between_the_plain_and_the_worst_case() -> None:
     independent = np.abs(rng.normal(size=2000))
     together = np.repeat(np.abs(rng.normal(size=40)), 50)
     plain = np.quantile(independent, 0.95)
-    assert plain * 0.98 < crossed_quantile(independent, campaign, 0.95) < conformal_quantile(independent, campaign, 0.95)
+    assert (
+        plain * 0.98 < crossed_quantile(independent, campaign, 0.95) < conformal_quantile(independent, campaign, 0.95)
+    )
     # where a campaign is wholly inside or outside, nothing less than the worst case will do
     assert crossed_quantile(together, campaign, 0.95) == conformal_quantile(together, campaign, 0.95)
 

@@ -61,9 +61,7 @@ def season(seed: int) -> Season:
         return smoothed(recording.displacement_um - model.predict(inputs_of(recording)))
 
     p95_um = float(np.quantile(np.abs(known.displacement_um - model.predict(inputs)), 0.95))
-    return Season(
-        validity, distance(home), distance(year), error_um(year), distance(summer), error_um(summer), p95_um
-    )
+    return Season(validity, distance(home), distance(year), error_um(year), distance(summer), error_um(summer), p95_um)
 
 
 @pytest.fixture(scope="module")
