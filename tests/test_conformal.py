@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_campaigns import LAYOUT, WINTER, inputs_of, synthetic_machine
 
+from synthetic_campaigns import LAYOUT, WINTER, inputs_of, synthetic_machine
 from thetacomp.campaign import Floats, Ints
 from thetacomp.compensation.band import Band
 from thetacomp.errors import AnalysisError

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_campaigns import LAYOUT, SENSORS, WINTER, inputs_of, synthetic_machine
 
+from synthetic_campaigns import LAYOUT, SENSORS, WINTER, inputs_of, synthetic_machine
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters, Temperatures
 from thetacomp.compensation.law import laws
 from thetacomp.compensation.switch import degraded, switch

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from synthetic_campaigns import LAYOUT, SENSORS, SUMMER, WINTER, Recording, inputs_of, synthetic_machine
 
+from synthetic_campaigns import LAYOUT, SENSORS, SUMMER, WINTER, Recording, inputs_of, synthetic_machine
 from thetacomp.campaign import Floats
 from thetacomp.compensation.validity import FADE_PER_S, Validity, faded_um, model_weight, step_weight
 from thetacomp.errors import AnalysisError
