@@ -10,8 +10,8 @@ import pytest
 
 from synthetic_campaigns import LAYOUT, WINTER, inputs_of, synthetic_machine
 from thetacomp.campaign import Floats, Ints
-from thetacomp.compensation.band import Band
 from thetacomp.errors import AnalysisError
+from thetacomp.models.band import Band
 from thetacomp.models.ridge import HistoryRidge, history_candidates
 from thetacomp.validation.conformal import (
     HeldOut,

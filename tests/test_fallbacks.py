@@ -221,3 +221,6 @@ def test_states_without_a_sensor_keep_everything_else() -> None:
     assert rest.sensors == ("nut", "bed")
     np.testing.assert_array_equal(rest.rise_K, states.rise_K[:, [0, 2]])
     np.testing.assert_array_equal(rest.samples[1].rise_K, states.samples[1].rise_K[:, [0, 2]])
+    # heat history mixes all sensors: nothing of it may stay
+    assert rest.layout is None
+    assert rest.history.shape[1] == rest.samples[1].history.shape[1] == 0

@@ -12,11 +12,8 @@ import pytest
 from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.examples import TK6920, TK6920_EQUATIONS
-from thetacomp.models.axis_model import AxisModel
-from thetacomp.models.procedures import paper_procedure
 from thetacomp.reading import read_folder
-from thetacomp.states import AxisStates, axis_states
-from thetacomp.validation.published import compare_with_published, read_published_equations
+from thetacomp.validation.published import CoefficientComparison, compare_with_published, read_published_equations
 from thetacomp.validation.result import ValidationRow
 
 
@@ -70,14 +67,13 @@ def test_uncompensated_column_deviation_is_the_published_one() -> None:
     assert _row("column_X", "nothing", forward=False).max_before_um == pytest.approx(452, abs=1)
 
 
-def _fitted() -> list[tuple[AxisStates, AxisModel]]:
-    folder = read_folder(TK6920)
-    procedure = paper_procedure(folder.machine)
-    return [(states, procedure(states)) for states in axis_states(folder, _analysis().separations, ["X", "Y", "W"])]
+@lru_cache
+def _comparison() -> tuple[CoefficientComparison, ...]:
+    return compare_with_published(read_published_equations(TK6920_EQUATIONS), read_folder(TK6920))
 
 
 def test_temperature_coefficients_agree_with_print_within_10_percent() -> None:
-    rows = compare_with_published(read_published_equations(TK6920_EQUATIONS), _fitted())
+    rows = _comparison()
     assert len(rows) == 36
     strong = [row for row in rows if row.coefficient.endswith("per °C") and row.verdict != "weak"]
     assert len(strong) == 12
@@ -87,7 +83,7 @@ def test_temperature_coefficients_agree_with_print_within_10_percent() -> None:
 
 
 def test_equation_11_is_reported_as_reversed() -> None:
-    rows = compare_with_published(read_published_equations(TK6920_EQUATIONS), _fitted())
+    rows = _comparison()
     assert {row.verdict for row in rows if row.equation == 11} == {"reversed"}
     assert "reversed" not in {row.verdict for row in rows if row.equation != 11}
 

@@ -14,7 +14,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.separation import separate_campaign
 from thetacomp.separation.geometry import choose_curve, polynomial, smoothing_spline
 from thetacomp.separation.joint import _rate_matrix
-from thetacomp.separation.reference import reference_temperatures_degC, reference_time_s
+from thetacomp.separation.reference import cold_block_change_K, reference_temperatures_degC, reference_time_s
 
 
 @pytest.mark.timeout(400)
@@ -201,6 +201,12 @@ def test_too_few_points_are_refused_with_the_sweep_named() -> None:
     campaign = _sweeps(np.array([0.0, 1.0, 2.0, 0.0, 1.0]), np.array([0, 0, 0, 1, 1]), np.zeros(5), np.ones(5))
     with pytest.raises(AnalysisError, match="sweep 1 of axis Y has 2 points"):
         separate_campaign(MACHINE, campaign)
+
+
+def test_a_cold_block_that_warms_up_is_measured() -> None:
+    campaign, _ = measured_campaign(np.random.default_rng(6), sweeps=3)
+    heat = Temperatures(np.array([0.0, 1200.0, 9000.0]), ("t1",), np.array([[20.0], [22.5], [30.0]]))
+    assert cold_block_change_K(replace(campaign, temperatures=heat), 1200.0) == pytest.approx([2.5])
 
 
 def test_no_cold_sweep_is_told() -> None:

@@ -159,7 +159,7 @@ def test_train_and_test_choose_campaigns() -> None:
 
 def test_modes_and_compensated_campaigns_are_not_mixed_unasked() -> None:
     cold, cooled = _campaign("off", 0, mode="no cooling"), _campaign("on", 1, mode="cooling")
-    with pytest.raises(AnalysisError, match="different operating modes .*off: 'no cooling', on: 'cooling'"):
+    with pytest.raises(AnalysisError, match=r"different operating modes .*off: 'no cooling', on: 'cooling'"):
         analyze_folder(MachineFolder(MACHINE, (cold, cooled)))
     analyze_folder(MachineFolder(MACHINE, (cold, cooled)), train=["off"])
     active = _campaign("active", 1, compensation="on")
@@ -177,6 +177,43 @@ def test_with_a_common_datum_temperatures_share_one_zero() -> None:
     folder = _folder(2, datum="common")
     (states,) = axis_states(folder, separate_folder(folder), ["c0", "c1"])
     assert np.ptp(states.reference_degC, axis=0) == pytest.approx([0.0, 0.0, 0.0])
+
+
+def test_the_model_document_carries_its_verdict() -> None:
+    good = analyze_folder(_folder(4)).model
+    assert good.failed_checks == ()
+    rows = analyze_folder(_folder(4)).validation
+    row = _row(rows, "EXY", "default", "campaign", "all")
+    assert good.components["EXY"].held_out_um == (row.rms_after_um, row.p95_after_um, row.max_after_um)
+    single = analyze_folder(_folder(1)).model
+    assert any("campaigns: 1 (must be >= 2)" in line for line in single.failed_checks)
+
+
+def test_forward_split_is_not_counted_twice() -> None:
+    """Of two campaigns the forward split is the fold that holds out the second: the same figures again."""
+    assert not [row for row in analyze_folder(_folder(2)).validation if row.split == "forward"]
+    assert [row for row in analyze_folder(_folder(4)).validation if row.split == "forward"]
+
+
+def test_folds_that_choose_other_sensors_are_told() -> None:
+    rng = np.random.default_rng(1)
+    campaigns = [_campaign(f"c{i}", i, noise_um=60.0) for i in range(4)]
+    twin = []
+    for campaign in campaigns:
+        degC = campaign.temperatures.value_degC.copy()
+        degC[:, 1] = degC[:, 0] + rng.normal(0, 0.6, len(degC))
+        heat = Temperatures(campaign.temperatures.t_s, campaign.temperatures.sensor_ids, degC)
+        twin.append(Campaign(campaign.name, campaign.settings, heat, parameters=campaign.parameters))
+    analysis = analyze_folder(MachineFolder(MACHINE, tuple(twin)))
+    folder = MachineFolder(MACHINE, tuple(twin))
+    (states,) = axis_states(folder, separate_folder(folder), [c.name for c in twin])
+    procedure = default_procedure(MACHINE)
+    stored = set(procedure(states).inputs)
+    differ = sum(set(procedure(states.take(f.train)).inputs) != stored for f in hold_out(states)[1])
+    told = [note for note in analysis.notes if "folds chose" in note]
+    assert bool(told) == bool(differ)
+    if differ:
+        assert f"{differ} of 4 folds" in told[0]
 
 
 def test_baselines_use_what_their_names_say() -> None:

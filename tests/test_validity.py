@@ -10,10 +10,11 @@ import pytest
 
 from synthetic_campaigns import LAYOUT, SENSORS, SUMMER, WINTER, Recording, inputs_of, synthetic_machine
 from thetacomp.campaign import Floats
-from thetacomp.compensation.validity import FADE_PER_S, Validity, faded_um, model_weight, step_weight
+from thetacomp.compensation.fade import FADE_PER_S, faded_um, model_weight, step_weight
 from thetacomp.errors import AnalysisError
 from thetacomp.models.prior import fit_prior
 from thetacomp.models.ridge import HistoryRidge, history_candidates
+from thetacomp.models.validity import Validity
 from thetacomp.temperature.history import HistoryLayout
 from thetacomp.validation.border import calibrate_validity
 

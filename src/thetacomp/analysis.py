@@ -10,20 +10,24 @@ from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.keypoints.states import correlation_tables, parameter_table
-from thetacomp.models.axis_model import AxisModel, Procedure, all_sensors, clock, training_mean
+from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
 from thetacomp.models.build import build_document
+from thetacomp.models.history_model import history_procedure
 from thetacomp.models.procedures import default_procedure, paper_procedure
 from thetacomp.separation import ComponentSeparation, separate_campaign
+from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
-from thetacomp.validation.acceptance import acceptance_checks
-from thetacomp.validation.folds import forward_in_time, hold_out, named_test
+from thetacomp.validation.acceptance import acceptance_checks, in_words
+from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test
 from thetacomp.validation.permutation import permutation_test
-from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
-from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, rows_of
+from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
+from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, held_out_states, rows_of
+from thetacomp.validation.verdict import with_verdict
 
 SEED = 20120951
+FORWARD = "forward"
 
 Progress = Callable[[str], None]
 
@@ -62,8 +66,18 @@ def analyze_folder(
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
 
     progress("validating on held-out data")
-    residuals, rows = _validate(folder, everything, test, procedure, paper)
+    residuals, rows, held_out, fold_notes = _validate(folder, everything, test, procedure, paper)
     permutations = _permutations(training, procedure)
+    judged = [r for r in residuals if r.split != FORWARD]
+    judged_rows = [row for row in rows if row.split != FORWARD]
+    acceptance = acceptance_checks(judged, judged_rows, permutations, model)
+    notes += fold_notes
+    model = with_verdict(
+        model,
+        judged_rows,
+        tuple(in_words(check) for check in acceptance if not check.passed),
+        notes,
+    )
     parameter_correlations, sensor_correlations = correlation_tables([parameter_table(s) for s in training])
     return Analysis(
         folder=folder,
@@ -77,8 +91,9 @@ def analyze_folder(
         paper_model=paper_model,
         validation=rows,
         permutations=permutations,
-        acceptance=acceptance_checks([r for r in residuals if r.split != "forward"], rows, permutations, model),
+        acceptance=acceptance,
         notes=notes,
+        held_out=held_out,
     )
 
 
@@ -126,16 +141,19 @@ def _validate(
     test: Sequence[str],
     procedure: Procedure,
     paper: Procedure,
-) -> tuple[list[Residuals], tuple[ValidationRow, ...]]:
+) -> tuple[list[Residuals], tuple[ValidationRow, ...], tuple[HeldOutStates, ...], tuple[str, ...]]:
     """Hold out by campaign or state, and forward in time, with every baseline beside the model."""
     residuals: list[Residuals] = []
     rows: list[ValidationRow] = []
+    by_state: list[HeldOutStates] = []
+    notes: list[str] = []
     for states in everything:
-        procedures: dict[str, Procedure] = {
+        procedures: dict[str, AnyProcedure] = {
             "default": procedure,
             "clock": clock,
             "one_sensor": paper,
             "all_sensors": all_sensors,
+            "heat_history": history_procedure,
         }
         if folder.campaign(states.campaigns[0]).settings.datum == "common":
             procedures["training_mean"] = training_mean
@@ -143,15 +161,38 @@ def _validate(
         if test:
             split, folds = "test", named_test(states, test)
         own: list[Residuals] = []
-        for kind, some in ((split, folds), ("forward", forward_in_time(states))):
+        for kind, some in ((split, folds), (FORWARD, _new_folds(forward_in_time(states), folds))):
             if some:
                 own += held_out_residuals(states, kind, some, procedures)
+        notes += _fold_notes(states, folds, procedure)
         cartesian = next((a.cartesian for a in folder.machine.axes if a.name == states.axis), "")
         for item in own:
             rows += rows_of(item, states.campaigns)
         rows += column_rows(states, own, cartesian)
+        by_state += held_out_states(states, [item for item in own if item.split != FORWARD], "default")
         residuals += own
-    return residuals, tuple(rows)
+    return residuals, tuple(rows), tuple(by_state), tuple(notes)
+
+
+def _new_folds(some: Sequence[Fold], known: Sequence[Fold]) -> list[Fold]:
+    """Folds that are not among the known ones: of two campaigns the forward split repeats the second hold-out."""
+    return [fold for fold in some if not any(np.array_equal(fold.test, other.test) for other in known)]
+
+
+def _fold_notes(states: AxisStates, folds: Sequence[Fold], procedure: Procedure) -> list[str]:
+    """Where the folds chose other sensors than the stored model, its held-out figures are those of its relatives."""
+    stored = procedure(states).inputs
+    chosen = [procedure(states.take(fold.train)).inputs for fold in folds]
+    others = {inputs for inputs in chosen if set(inputs) != set(stored)}
+    if not others:
+        return []
+    label = f"axis {states.axis}" if states.axis else "drift"
+    told = "; ".join(", ".join(inputs) or "none" for inputs in sorted(others))
+    count = sum(set(inputs) != set(stored) for inputs in chosen)
+    return [
+        f"{label}: the stored model uses {', '.join(stored) or 'no sensor'}, but {count} of {len(folds)} folds chose"
+        f" otherwise ({told}); the held-out figures judge the way of choosing, not this very set of sensors"
+    ]
 
 
 def _permutations(training: Sequence[AxisStates], procedure: Procedure) -> tuple[PermutationTest, ...]:
@@ -173,8 +214,25 @@ def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparat
         for c in campaigns
         if c.settings.active_tables
     ]
+    notes += [note for campaign in campaigns for note in _cold_notes(campaign)]
     notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]
     return tuple(dict.fromkeys(notes))
+
+
+def _cold_notes(campaign: Campaign) -> list[str]:
+    """A cold block that warms up is no reference: its heat is taken for geometry."""
+    if campaign.sweeps is None:
+        return []
+    change_K = cold_block_change_K(campaign, reference_time_s(campaign))
+    span_K = np.nanmax(campaign.temperatures.value_degC, axis=0) - np.nanmin(campaign.temperatures.value_degC, axis=0)
+    moved = np.flatnonzero((np.abs(change_K) > 0.5) & (np.abs(change_K) > 0.1 * span_K))
+    if not len(moved):
+        return []
+    worst = ", ".join(f"{campaign.temperatures.sensor_ids[j]} {change_K[j]:+.1f} K" for j in moved[:4])
+    return [
+        f"campaign {campaign.name}: {len(moved)} sensors move during the cold block ({worst}), more than a tenth of"
+        " their span: part of the thermal error is taken for geometry; measure the cold block before any heat"
+    ]
 
 
 def fit_for_use(acceptance: Sequence[AcceptanceCheck]) -> bool:

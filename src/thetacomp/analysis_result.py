@@ -9,7 +9,7 @@ from thetacomp.keypoints.result import AxisKeyPoints
 from thetacomp.models.document import ModelDocument
 from thetacomp.separation.result import ComponentSeparation
 from thetacomp.temperature.result import LayoutCheck, SensorRise
-from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
+from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,8 @@ class Analysis:
     """Result of one run of the analysis wing.
 
     `parameter_correlations` has rows such as `EYX intercept` and the sensors as columns; `sensor_correlations` is
-    sensors by sensors. `permutations` are absent where too few states exist to shuffle.
+    sensors by sensors. `held_out` is the default model on states that it has not seen. `permutations` are absent where
+    too few states exist to shuffle.
     """
 
     folder: MachineFolder
@@ -33,3 +34,4 @@ class Analysis:
     permutations: tuple[PermutationTest, ...]
     acceptance: tuple[AcceptanceCheck, ...]
     notes: tuple[str, ...]
+    held_out: tuple[HeldOutStates, ...] = ()

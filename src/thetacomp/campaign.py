@@ -111,6 +111,14 @@ class Duty:
 
 
 @dataclass(frozen=True)
+class LeadIn:
+    """What an unbroken recording holds before a campaign starts, at negative times: heat is still in the machine."""
+
+    temperatures: Temperatures
+    duty: Duty | None = None
+
+
+@dataclass(frozen=True)
 class Campaign:
     """One warm-up and cool-down: the unit of every hold-out."""
 
@@ -122,6 +130,7 @@ class Campaign:
     parameters: Parameters | None = None
     duty: Duty | None = None
     start: datetime | None = None
+    before: LeadIn | None = None
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from thetacomp.campaign import Campaign, Floats, Ints, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.separation.reference import reference_temperatures_degC, reference_time_s
 from thetacomp.separation.result import Bools, ComponentSeparation
+from thetacomp.temperature.history import HistoryLayout
+from thetacomp.temperature.track import HistoryTrack, history_layout, history_track
 
 DRIFT = ""
 LINE_POSITIONS = 31
@@ -23,7 +25,7 @@ class Samples:
 
     Measured points where sweeps exist, the separated line over the travel where only parameters do, the displacement
     itself for drift. `state` is the row of AxisStates; `lever_m` the distance from P0; `noise_sd_um` the scatter of
-    the instrument.
+    the instrument; `history` (n, k) the inputs that AxisStates.layout describes.
     """
 
     state: Ints
@@ -32,6 +34,7 @@ class Samples:
     elapsed_h: Floats
     rise_K: Floats
     noise_sd_um: Floats
+    history: Floats
 
     def take(self, rows: Ints | Bools) -> Samples:
         """Some of the samples; `state` goes on naming the same states."""
@@ -46,6 +49,8 @@ class AxisStates:
     what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing values are NaN. `exact_zero` says
     that S = I = 0 holds exactly at the reference, as separated sweeps do; in separated parameters from elsewhere the
     cold state is a measurement like any other, and with a common datum there is no zero of the campaign's own.
+    `history` (n, k) holds lagged temperatures and speeds as differences from the reference, described by `layout`
+    (None, and no columns, where no sensor was read in all campaigns).
     """
 
     axis: str
@@ -67,6 +72,8 @@ class AxisStates:
     slope_um_per_m: Floats
     cold_intercept_um: Floats
     cold_slope_um_per_m: Floats
+    history: Floats
+    layout: HistoryLayout | None
     samples: tuple[Samples, ...]
 
     def __len__(self) -> int:
@@ -134,8 +141,13 @@ def _collect(
         )
     p0_mm = next(s.p0_mm for s in members if s.component == components[0])
     zero = _common_reference_degC(folder, axis, names)
+    layout = history_layout([folder.campaign(name) for name in names])
+    zero_history = None
+    if zero is not None:
+        first = folder.campaign(names[0])
+        zero_history = _track(first, layout, reference_time_s(first), None).reference
     parts = [
-        _campaign_states(folder, name, index, axis, components, members, p0_mm, zero)
+        _campaign_states(folder, name, index, axis, components, members, p0_mm, zero, layout, zero_history)
         for index, name in enumerate(names)
     ]
     return _stack(parts, names)
@@ -169,6 +181,8 @@ def _campaign_states(
     members: Sequence[ComponentSeparation],
     p0_mm: float,
     zero_degC: Floats | None,
+    layout: HistoryLayout | None,
+    zero_history: Floats | None,
 ) -> AxisStates:
     campaign, sensors = folder.campaign(name), folder.machine.sensor_ids
     own = [next(s for s in members if s.campaign == name and s.component == c) for c in components]
@@ -188,6 +202,7 @@ def _campaign_states(
         cold[rows] |= s.cold
     reference_s = own[0].reference_s
     reference = _reference_degC(campaign, sensors) if zero_degC is None else zero_degC
+    track = _track(campaign, layout, reference_s, zero_history)
     return AxisStates(
         axis=axis,
         components=components,
@@ -208,7 +223,9 @@ def _campaign_states(
         slope_um_per_m=slope,
         cold_intercept_um=cold_intercept,
         cold_slope_um_per_m=cold_slope,
-        samples=tuple(_samples(campaign, sensors, s, states, reference, p0_mm) for s in own),
+        history=track.at(t_s),
+        layout=layout,
+        samples=tuple(_samples(campaign, sensors, s, states, reference, p0_mm, track) for s in own),
     )
 
 
@@ -241,7 +258,19 @@ _BY_ROW = (
     "slope_um_per_m",
     "cold_intercept_um",
     "cold_slope_um_per_m",
+    "history",
 )
+
+
+def _track(
+    campaign: Campaign, layout: HistoryLayout | None, reference_s: float, zero_history: Floats | None
+) -> HistoryTrack:
+    """History of a campaign; with a common datum it counts from the zero of the first campaign."""
+    if layout is None:
+        t_s = campaign.temperatures.t_s
+        return HistoryTrack(t_s, np.zeros((len(t_s), 0)), np.zeros(0))
+    track = history_track(campaign, layout, reference_s)
+    return track if zero_history is None else replace(track, reference=zero_history)
 
 
 def _by_sensor(campaign: Campaign, sensors: tuple[str, ...], value_degC: Floats) -> Floats:
@@ -261,6 +290,7 @@ def _samples(
     states: Ints,
     reference: Floats,
     p0_mm: float,
+    track: HistoryTrack,
 ) -> Samples:
     if s.points is not None:
         good = ~s.points.outlier
@@ -285,6 +315,7 @@ def _samples(
         elapsed_h=(t_s - s.reference_s) / 3600.0,
         rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
         noise_sd_um=np.full(len(t_s), noise),
+        history=track.at(t_s),
     )
 
 
@@ -296,4 +327,5 @@ def _stack_samples(parts: Sequence[Samples], starts: Ints) -> Samples:
         elapsed_h=np.concatenate([part.elapsed_h for part in parts]),
         rise_K=np.concatenate([part.rise_K for part in parts]),
         noise_sd_um=np.concatenate([part.noise_sd_um for part in parts]),
+        history=np.concatenate([part.history for part in parts]),
     )

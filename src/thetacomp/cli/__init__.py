@@ -1,0 +1,1 @@
+"""The commands of thetacomp, one thin file each."""

@@ -12,6 +12,7 @@ from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
 
 if TYPE_CHECKING:
     from thetacomp.analysis_result import Analysis
+    from thetacomp.validation.result import ValidationRow
 
 
 def analyze(
@@ -60,9 +61,12 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
     lines += ["", *_before_and_after(analysis), ""]
     if failed:
         lines.append("NOT FIT FOR USE yet; failed acceptance checks:")
-        lines += [f"  - {c.name}: {c.statistic:.3g} (must be {c.operator} {c.threshold:g})" for c in failed]
+        lines += [f"  - {line}" for line in analysis.model.failed_checks]
     else:
-        lines.append(f"fit for use: all {len(analysis.acceptance)} acceptance checks passed")
+        lines.append(
+            f"all {len(analysis.acceptance)} acceptance checks passed on held-out data;"
+            " still open is the sign test on the machine, which every export describes"
+        )
     lines += ["", f"open {out / 'report.html'}; model in {out / 'model.json'}"]
     data = {
         "fit_for_use": not failed,
@@ -86,14 +90,20 @@ def _before_and_after(analysis: Analysis) -> list[str]:
     column = [row for row in rows if row.component.startswith("column")]
     pooled = [row for row in (column or rows) if row.campaign == "all"] or column or rows
     lines = [
-        "held out, in µm              model               max before > after     RMS before > after"
-        "    RMS in-sample   reduction of max"
+        "held out, in µm    campaign         model            max before → after      RMS before → after"
+        "    RMS in-sample    less max"
     ]
-    lines += [
-        f"{row.component:<10} {row.campaign:<17.17} {row.model:<14}"
-        f" {row.max_before_um:12.1f} > {row.max_after_um:<8.1f}"
-        f"   {row.rms_before_um:8.1f} > {row.rms_after_um:<8.1f} {row.rms_in_sample_um:13.1f}"
-        f"   {row.reduction_percent:14.1f} %"
-        for row in pooled
-    ]
+    shown: dict[tuple[str, str, float, float], ValidationRow] = {}
+    for row in pooled:
+        twin = shown.get((row.component, row.campaign, row.max_after_um, row.rms_after_um))
+        if twin is not None:
+            lines.append(f"{row.component:<18} {row.campaign:<16.16} {row.model:<14} the same as {twin.model}")
+            continue
+        shown[row.component, row.campaign, row.max_after_um, row.rms_after_um] = row
+        lines.append(
+            f"{row.component:<18} {row.campaign:<16.16} {row.model:<14}"
+            f" {row.max_before_um:11.1f} → {row.max_after_um:<8.1f}"
+            f" {row.rms_before_um:12.1f} → {row.rms_after_um:<8.1f}"
+            f" {row.rms_in_sample_um:11.1f} {row.reduction_percent:11.1f} %"
+        )
     return lines

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
+from thetacomp.cli import analyze, check, demo, export, keypoints, predict
 
 app = typer.Typer(
     name="thetacomp",
@@ -30,6 +31,14 @@ def _options(
     ] = False,
 ) -> None:
     """Options of the command as a whole."""
+
+
+app.command("demo")(demo.demo)
+app.command("check")(check.check)
+app.command("keypoints")(keypoints.keypoints)
+app.command("analyze")(analyze.analyze)
+app.command("predict")(predict.predict)
+app.command("export")(export.export)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy import stats
@@ -53,6 +54,14 @@ class AxisModel:
         return value, half_width
 
 
+class Predictor(Protocol):
+    """Any fitted model of one axis: it predicts samples, and states an interval or NaN."""
+
+    def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
+        """Thermal error in µm and the half width of its 95 % interval, both (n,)."""
+
+
+AnyProcedure = Callable[[AxisStates], Predictor]
 Procedure = Callable[[AxisStates], AxisModel]
 """Everything that is chosen and fitted, from training states alone: what is repeated inside every fold."""
 

@@ -151,14 +151,16 @@ def equation(states: AxisStates, model: AxisModel, k: int) -> str:
         _linear_text(float(regression.intercept_[j] - coefficients[j] @ zero), coefficients[j], model, absolute)
         for j in range(len(regression.intercept_))
     ]
+    units = "temperatures in °C" if absolute else "Δ: rise above the reference in K"
     if states.is_drift:
-        return f"{name} = {terms[0]}   [µm]"
+        return f"{name} = {terms[0]}   [µm; {units}]"
     lever = f"({states.axis} - {states.p0_mm:g})" if states.p0_mm else states.axis
-    return f"{name} = ({terms[1]}) {lever}/1000 + ({terms[0]})   [µm, {states.axis} in mm]"
+    return f"{name} = ({terms[1]}) {lever}/1000 + ({terms[0]})   [µm; {states.axis} in mm, {units}]"
 
 
 def _linear_text(constant: float, coefficients: np.ndarray, model: AxisModel, absolute: bool) -> str:
-    text = f"{constant:.4g}"
+    text = f"{constant:.4g}" if constant or not len(coefficients) else ""
     for sensor, coefficient in zip(model.inputs, coefficients, strict=True):
-        text += f" {'-' if coefficient < 0 else '+'} {abs(coefficient):.4g} {'' if absolute else 'Δ'}{sensor}"
-    return text
+        sign = "-" if coefficient < 0 else "+" if text else ""
+        text += f" {sign} {abs(coefficient):.4g} {'' if absolute else 'Δ'}{sensor}"
+    return " ".join(text.split())

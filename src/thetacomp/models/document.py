@@ -41,9 +41,10 @@ class Component(Strict):
 
     `intercept` is in µm, `slope` in µm/m; `slope`, `axis` and the positions are absent for drift at a fixed position.
     `residual_correlation` is that between the residuals of intercept and slope; `residual_um` holds the RMS and the
-    maximum of what remains over the travel on the training states. Both terms share `inputs` and `dof`.
-    `through_zero` says that the fit was forced through zero at the reference, where the error is zero by definition;
-    the constants are then exactly zero.
+    maximum of what remains over the travel on the training states (in-sample); `held_out_um` the RMS, 95th percentile
+    and maximum on data that the same procedure had not seen, None where nothing could be held out. Both terms share
+    `inputs` and `dof`. `through_zero` says that the fit was forced through zero at the reference, where the error is
+    zero by definition; the constants are then exactly zero.
     """
 
     direction: Literal["X", "Y", "Z"]
@@ -60,6 +61,7 @@ class Component(Strict):
     dof: int
     states: int
     residual_um: tuple[float, float]
+    held_out_um: tuple[float, float, float] | None = None
     equation: str
 
 
@@ -94,7 +96,10 @@ class Training(Strict):
 
 
 class ModelDocument(Strict):
-    """A thermal model as it is stored, read and exported. Units are in the names; see docs/nomenclature.md."""
+    """A thermal model as it is stored, read and exported. Units are in the names; see docs/nomenclature.md.
+
+    `failed_checks` names the acceptance checks that the model failed: whoever uses it must see them.
+    """
 
     kind: Literal["thetacomp model"] = "thetacomp model"
     format: Literal[1] = 1
@@ -106,6 +111,7 @@ class ModelDocument(Strict):
     method: str
     components: dict[str, Component]
     training: Training
+    failed_checks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     fallbacks: tuple[Fallback, ...] = ()
 

@@ -42,14 +42,26 @@ class HistoryFallback:
 
 
 def states_without(states: AxisStates, sensor: str) -> AxisStates:
-    """The same states and samples without one sensor."""
+    """The same states and samples without one sensor.
+
+    Heat history is left out: its products hold the mean rise of all sensors. `history_fallbacks` makes it anew.
+    """
     column = states.sensors.index(sensor)
     return replace(
         states,
         sensors=tuple(name for name in states.sensors if name != sensor),
         rise_K=np.delete(states.rise_K, column, axis=1),
         reference_degC=np.delete(states.reference_degC, column, axis=1),
-        samples=tuple(replace(samples, rise_K=np.delete(samples.rise_K, column, axis=1)) for samples in states.samples),
+        history=np.empty((len(states), 0)),
+        layout=None,
+        samples=tuple(
+            replace(
+                samples,
+                rise_K=np.delete(samples.rise_K, column, axis=1),
+                history=np.empty((len(samples.value_um), 0)),
+            )
+            for samples in states.samples
+        ),
     )
 
 

@@ -1,0 +1,21 @@
+"""Reading of machine folders and tables: numbers that are checked once, or all problems at once."""
+
+from thetacomp.reading.correlations import read_correlations
+from thetacomp.reading.folder import check_folder, read_folder, read_machine
+from thetacomp.reading.frames import campaign_from_frames
+from thetacomp.reading.lone import Positions, read_positions, read_temperatures
+from thetacomp.reading.summary import CampaignSummary, FolderSummary, summarize
+
+__all__ = [
+    "CampaignSummary",
+    "FolderSummary",
+    "Positions",
+    "campaign_from_frames",
+    "check_folder",
+    "read_correlations",
+    "read_folder",
+    "read_machine",
+    "read_positions",
+    "read_temperatures",
+    "summarize",
+]

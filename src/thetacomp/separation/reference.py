@@ -65,6 +65,13 @@ def _cold_block_length(axes: tuple[str, ...]) -> int:
     return len(axes)
 
 
+def cold_block_change_K(campaign: Campaign, reference_s: float) -> Floats:
+    """How much every sensor moves from the first measured point to the reference, in K, (sensors,)."""
+    start_s = reference_s if campaign.sweeps is None else min(reference_s, float(campaign.sweeps.t_s.min()))
+    first, last = campaign.temperatures.at(np.array([start_s, reference_s]))
+    return np.asarray(last - first)
+
+
 def reference_temperatures_degC(campaign: Campaign, reference_s: float) -> Floats:
     """Temperatures of the cold state, shape (sensors,).
 

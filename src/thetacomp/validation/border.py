@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats
-from thetacomp.compensation.reach import Reach
-from thetacomp.compensation.validity import Validity, furthest
 from thetacomp.errors import AnalysisError
+from thetacomp.models.reach import Reach
+from thetacomp.models.validity import Validity, furthest
 from thetacomp.validation.conformal import attainable_level, conformal_quantile, training_reach
 
 QUIET_LEVEL = 0.9

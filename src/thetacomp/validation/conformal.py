@@ -35,9 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats, Ints
-from thetacomp.compensation.band import Band, Scale
-from thetacomp.compensation.reach import Reach
 from thetacomp.errors import AnalysisError
+from thetacomp.models.band import Band, Scale
+from thetacomp.models.reach import Reach
 
 LEVEL = 0.95
 # directions with less than this share of an input's own mean square are not told from noise

@@ -9,8 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from thetacomp.campaign import MachineFolder
 from thetacomp.models.axis_model import AxisModel
-from thetacomp.states import AxisStates
+from thetacomp.models.procedures import paper_procedure
+from thetacomp.separation import separate_folder
+from thetacomp.states import AxisStates, axis_states
 
 # A correlation below this leaves the coefficients so uncertain that a comparison proves nothing.
 MIN_CORRELATION = 0.9
@@ -59,12 +62,16 @@ def read_published_equations(path: Path) -> tuple[PublishedEquation, ...]:
 
 
 def compare_with_published(
-    equations: Sequence[PublishedEquation], fitted: Sequence[tuple[AxisStates, AxisModel]]
+    equations: Sequence[PublishedEquation], folder: MachineFolder
 ) -> tuple[CoefficientComparison, ...]:
-    """Compare every printed coefficient with ours, in absolute temperatures and with the cold residue left in.
+    """Compare every printed coefficient with that of the paper's way on the folder's own campaigns.
 
-    A publication that does not refer its parameters to the cold state keeps a constant there; it is added back here.
+    In absolute temperatures and with the cold residue left in: a publication that does not refer its parameters to the
+    cold state keeps a constant there; it is added back here.
     """
+    procedure = paper_procedure(folder.machine)
+    names = [campaign.name for campaign in folder.campaigns]
+    fitted = [(states, procedure(states)) for states in axis_states(folder, separate_folder(folder), names)]
     rows: list[CoefficientComparison] = []
     for equation in equations:
         for states, model in fitted:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from thetacomp.campaign import Floats
+
 
 @dataclass(frozen=True)
 class ValidationRow:
@@ -29,6 +31,17 @@ class ValidationRow:
     reduction_percent: float
     coverage_percent: float
     rms_in_sample_um: float
+
+
+@dataclass(frozen=True)
+class HeldOutStates:
+    """One component in one campaign: the largest |error| over the travel at each held-out state, all (n,), in µm."""
+
+    component: str
+    campaign: str
+    t_s: Floats
+    before_um: Floats
+    after_um: Floats
 
 
 @dataclass(frozen=True)

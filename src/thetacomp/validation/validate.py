@@ -9,10 +9,10 @@ import numpy as np
 
 from thetacomp.campaign import Floats, Ints
 from thetacomp.errors import AnalysisError
-from thetacomp.models.axis_model import AxisModel, Procedure
+from thetacomp.models.axis_model import AnyProcedure, Predictor
 from thetacomp.states import AxisStates
 from thetacomp.validation.folds import Fold
-from thetacomp.validation.result import ValidationRow
+from thetacomp.validation.result import HeldOutStates, ValidationRow
 
 NOTHING = "nothing"
 ALL_CAMPAIGNS = "all"
@@ -37,7 +37,7 @@ class Residuals:
 
 
 def held_out_residuals(
-    states: AxisStates, split: str, folds: Sequence[Fold], procedures: Mapping[str, Procedure]
+    states: AxisStates, split: str, folds: Sequence[Fold], procedures: Mapping[str, AnyProcedure]
 ) -> tuple[Residuals, ...]:
     """Residuals of every component and procedure over all folds; `nothing` comes first.
 
@@ -71,8 +71,8 @@ def _residuals(
     split: str,
     component: int,
     name: str,
-    fitted: Sequence[tuple[Fold, AxisModel]],
-    whole: AxisModel,
+    fitted: Sequence[tuple[Fold, Predictor]],
+    whole: Predictor,
 ) -> Residuals:
     samples, label = states.samples[component], states.components[component]
     parts = []
@@ -161,9 +161,8 @@ def column_rows(states: AxisStates, residuals: Sequence[Residuals], cartesian: s
         direction = item.component[1]
         if direction not in ("X", "Z"):
             continue
-        present = np.unique(item.state)
-        kinds = (item.before_um, item.after_um, item.in_sample_um)
-        worst = np.array([[np.abs(values[item.state == state]).max() for values in kinds] for state in present])
+        present, before, after, in_sample = _largest_by_state(item)
+        worst = np.column_stack([before, after, in_sample])
         campaign = states.campaign[present]
         groups = [(states.campaigns[index], campaign == index) for index in np.unique(campaign)]
         if len(groups) > 1:
@@ -172,3 +171,31 @@ def column_rows(states: AxisStates, residuals: Sequence[Residuals], cartesian: s
             before, after, in_sample = worst[chosen].T
             rows.append(_figures(f"column_{direction}", name, item, before, after, in_sample, float("nan")))
     return tuple(rows)
+
+
+def held_out_states(states: AxisStates, residuals: Sequence[Residuals], model: str) -> tuple[HeldOutStates, ...]:
+    """The largest error of every held-out state before and after one model, component by component and campaign."""
+    out = []
+    for item in residuals:
+        if item.model != model:
+            continue
+        present, before, after, _ = _largest_by_state(item)
+        for index in np.unique(states.campaign[present]):
+            rows = states.campaign[present] == index
+            out.append(
+                HeldOutStates(
+                    item.component, states.campaigns[index], states.t_s[present[rows]], before[rows], after[rows]
+                )
+            )
+    return tuple(out)
+
+
+def _largest_by_state(item: Residuals) -> tuple[Ints, Floats, Floats, Floats]:
+    """The states, and the largest |error| of each before, after and in-sample."""
+    present, index = np.unique(item.state, return_inverse=True)
+    largest = []
+    for values in (item.before_um, item.after_um, item.in_sample_um):
+        out = np.zeros(len(present))
+        np.maximum.at(out, index, np.abs(values))
+        largest.append(out)
+    return present, largest[0], largest[1], largest[2]

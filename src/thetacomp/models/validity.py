@@ -1,7 +1,7 @@
-"""Whether a model may be believed at this moment: one distance from range and leverage, and a fade beyond it.
+"""Whether a model may be believed at this moment: one distance from range and leverage. Numpy only.
 
-Numpy only. The distance is 1 at the border of what the training campaigns showed. Outside, the prediction fades
-towards a prior: a simple law with one physical input, which is plausible everywhere and precise nowhere.
+The distance is 1 at the border of what the training campaigns showed. Outside the prediction fades towards a prior,
+see `compensation.fade`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats
-from thetacomp.compensation.reach import Reach
-
-# a full fade takes at least ten minutes: slow for a machine, fast against its time constants
-FADE_PER_S = 1.0 / 600.0
+from thetacomp.models.reach import Reach
 
 
 @dataclass(frozen=True)
@@ -70,27 +67,3 @@ def furthest(reach: Reach, middle: Floats, half_span: Floats, inputs: Floats) ->
     """Two measures (n, 2) of inputs (n, k): root of the leverage, and the largest |x - middle| in half spans."""
     spans = np.divide(1.0, half_span, out=np.zeros(len(half_span)), where=half_span > 0)
     return np.column_stack([np.sqrt(reach.leverage(inputs)), np.max(np.abs(inputs - middle) * spans, axis=1)])
-
-
-def model_weight(distance: Floats) -> Floats:
-    """Weight of the model (n,) at distances (n,): 1 inside, 1 / distance outside.
-
-    A model linear in its inputs then sees them drawn back to the border along the ray from the reference, and the
-    prior answers for the rest: what the model says stays bounded however far the inputs go.
-    """
-    weight: Floats = 1.0 / np.maximum(distance, 1.0)
-    return weight
-
-
-def faded_um(model_um: Floats, prior_um: Floats, weight: Floats) -> Floats:
-    """`weight × model + (1 - weight) × prior`, (n,), continuous in all three."""
-    return weight * model_um + (1.0 - weight) * prior_um
-
-
-def step_weight(weight: float, wanted: float, dt_s: float, per_s: float = FADE_PER_S) -> float:
-    """The weight one sample of `dt_s` later: on its way to `wanted`, by at most `per_s × dt_s`.
-
-    The part of the output that comes from fading thus never moves faster than `per_s × |model - prior|`.
-    """
-    most = per_s * dt_s
-    return weight + min(max(wanted - weight, -most), most)

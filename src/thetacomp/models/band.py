@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from thetacomp.campaign import Floats
-from thetacomp.compensation.reach import Reach
+from thetacomp.models.reach import Reach
 
 
 @dataclass(frozen=True)

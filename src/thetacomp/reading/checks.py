@@ -1,0 +1,302 @@
+"""What no format can tell: numbers that are well written and yet cannot be meant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from thetacomp.campaign import Floats, SweepPoints, Temperatures
+from thetacomp.machine import Machine
+from thetacomp.reading.columns import ERRORS, ROTATIONS
+from thetacomp.reading.problems import ProblemList
+from thetacomp.reading.tables import Table
+
+LOWEST_DEGC, HIGHEST_DEGC = -60.0, 250.0
+LARGEST_ERROR_UM = 20_000.0
+LARGEST_ANGLE_URAD = 20_000.0
+JUMP_K, JUMP_K_PER_S = 2.0, 1.0 / 60.0
+SHORTEST_S, LONGEST_S = 600.0, 14 * 86_400.0
+
+
+def time_order(table: Table, t_s: Floats, problems: ProblemList, strictly: bool = True) -> None:
+    """Time must rise from row to row; without `strictly` it may stand still."""
+    step = np.diff(t_s)
+    header = table.header("t_s")
+    back = np.flatnonzero(step < 0) + 1
+    if len(back):
+        i = int(back[0])
+        problems.error(
+            "time-backward",
+            table.file,
+            f"time goes back from {t_s[i - 1]:g} s to {t_s[i]:g} s.",
+            "sort the rows by time; if the clock was set or passed midnight, correct the times.",
+            table.rows[back].tolist(),
+            header,
+        )
+    same = np.flatnonzero(step == 0) + 1
+    if len(same) and strictly:
+        problems.error(
+            "time-duplicate",
+            table.file,
+            f"the time {t_s[int(same[0])]:g} s stands twice.",
+            "keep one row for each time (a clock without seconds? export the times with seconds).",
+            table.rows[same].tolist(),
+            header,
+        )
+
+
+def duration(table: Table, t_s: Floats, problems: ProblemList) -> None:
+    """Hours are usual. Milliseconds named as seconds give weeks, minutes named as seconds give minutes."""
+    span = float(t_s.max() - t_s.min())
+    header = table.header("t_s")
+    if table.clock is not None or (SHORTEST_S <= span <= LONGEST_S) or len(t_s) < 2:
+        return
+    if span > LONGEST_S:
+        found, unit = f"{span / 86_400:.0f} days", "milliseconds (or seconds in a column of minutes or hours)"
+    else:
+        found, unit = f"only {span:g} s", "minutes or hours"
+    problems.warning(
+        "time-unit",
+        table.file,
+        f"the table covers {found}; a campaign takes hours. Is the time in {unit}?",
+        "name the column by its unit: t_s, t_min or t_h.",
+        (),
+        header,
+    )
+
+
+def temperatures(table: Table, data: Temperatures, problems: ProblemList) -> None:
+    """Range, unit, sensors that do not move, jumps between neighbours, gaps."""
+    value = data.value_degC
+    outside = (value < LOWEST_DEGC) | (value > HIGHEST_DEGC)
+    for j in np.flatnonzero(outside.any(axis=0)):
+        where = np.flatnonzero(outside[:, j])
+        kelvin = np.all(value[np.isfinite(value[:, j]), j] > HIGHEST_DEGC)
+        problems.error(
+            "temperature-range",
+            table.file,
+            f"found {value[where[0], j]:g} °C, expected {LOWEST_DEGC:g} to {HIGHEST_DEGC:g} °C"
+            + (": is the column in kelvin?" if kelvin else "."),
+            "give °C; leave the cell empty where the sensor failed (no codes such as -999 or 850).",
+            table.rows[where].tolist(),
+            table.header(data.sensor_ids[j]),
+        )
+    if outside.any() or not np.isfinite(value).any():
+        return
+    coldest = float(np.nanmin(value))
+    if coldest > 50:
+        problems.warning(
+            "temperature-unit",
+            table.file,
+            f"no temperature is below {coldest:g} °C: are they in degrees Fahrenheit?",
+            "give °C.",
+        )
+    _resting_sensors(table, data, problems)
+    _jumps(table, data, problems)
+    _gaps(table, data, problems)
+
+
+def _resting_sensors(table: Table, data: Temperatures, problems: ProblemList) -> None:
+    if len(data.t_s) < 10:
+        return
+    lowest, highest = np.nanmin(data.value_degC, axis=0), np.nanmax(data.value_degC, axis=0)
+    resting = [name for name, rests in zip(data.sensor_ids, lowest == highest, strict=True) if rests]
+    if not resting:
+        return
+    everyone = len(resting) == len(data.sensor_ids)
+    problems.warning(
+        "temperature-constant",
+        table.file,
+        "no temperature changes at all." if everyone else f"these sensors never change: {', '.join(resting)}.",
+        "check the logger and the cables; without a change of temperature nothing can be learnt.",
+        (),
+        None if everyone else table.header(resting[0]),
+    )
+
+
+def _jumps(table: Table, data: Temperatures, problems: ProblemList) -> None:
+    """A step that no mass of a machine can make: more than 2 K, and faster than 1 K a minute."""
+    for j, name in enumerate(data.sensor_ids):
+        good = np.flatnonzero(np.isfinite(data.value_degC[:, j]))
+        step, pause = np.diff(data.value_degC[good, j]), np.diff(data.t_s[good])
+        jumps = np.flatnonzero((np.abs(step) > JUMP_K) & (np.abs(step) > JUMP_K_PER_S * pause))
+        if len(jumps):
+            k = int(jumps[0])
+            problems.warning(
+                "temperature-jump",
+                table.file,
+                f"the temperature jumps by {step[k]:+.1f} K within {pause[k]:g} s"
+                f" (at {data.t_s[good[k + 1]] / 3600:.2f} h).",
+                "look at the sensor and its plug; leave the cells empty where it failed.",
+                table.rows[good[jumps + 1]].tolist(),
+                table.header(name),
+            )
+
+
+def _gaps(table: Table, data: Temperatures, problems: ProblemList) -> None:
+    pause = np.diff(data.t_s)
+    if len(pause) < 3:
+        return
+    usual = float(np.median(pause))
+    gaps = np.flatnonzero((pause > 10 * usual) & (pause > 600)) + 1
+    if len(gaps):
+        problems.warning(
+            "time-gap",
+            table.file,
+            f"{pause[gaps[0] - 1] / 60:.0f} min without a temperature (usual: {usual:g} s); the gap is bridged by a"
+            " straight line.",
+            "check the logger; leave out campaigns with long gaps during heating.",
+            table.rows[gaps].tolist(),
+            table.header("t_s"),
+        )
+
+
+def displacements(table: Table, problems: ProblemList) -> None:
+    """Errors beyond 20 mm, angles beyond 20 mrad, and µm columns that look as if they held mm."""
+    largest = 0.0
+    for name in (*ERRORS, *ROTATIONS, "intercept_um"):
+        values = table.numbers.get(name)
+        if values is None or not np.isfinite(values).any():
+            continue
+        limit, unit = (LARGEST_ANGLE_URAD, "µrad") if name in ROTATIONS else (LARGEST_ERROR_UM, "µm")
+        beyond = np.flatnonzero(np.abs(values) > limit)
+        header = table.header(name) or name
+        if len(beyond):
+            problems.error(
+                "error-unit",
+                table.file,
+                f"found {values[beyond[0]]:g} {unit}, expected errors below {limit:g} {unit}: is the unit wrong?",
+                "name the column by its unit (_um, _mm, _urad); give errors, not positions.",
+                table.rows[beyond].tolist(),
+                header,
+            )
+        if name not in ROTATIONS:
+            largest = max(largest, float(np.nanmax(np.abs(values))))
+    if 0 < largest < 1:
+        problems.warning(
+            "error-unit",
+            table.file,
+            f"all errors are below {largest:.3g} µm: are they in mm?",
+            "if so, name the columns _mm instead of _um.",
+        )
+    empty = [name for name in ERRORS if name in table.numbers and not np.isfinite(table.numbers[name]).any()]
+    if empty:
+        problems.warning(
+            "empty-column",
+            table.file,
+            f"the column {', '.join(table.header(name) or name for name in empty)} holds no value.",
+            "delete the column if the direction was not measured.",
+            (),
+            table.header(empty[0]),
+        )
+
+
+def positions(
+    table: Table, axis: Sequence[str], positions_mm: Mapping[str, Floats], machine: Machine, problems: ProblemList
+) -> None:
+    """Positions (by header) of the axes named row by row: inside the travel, and over more than 1 % of it."""
+    names = np.array(axis)
+    for name in dict.fromkeys(axis):
+        travel = machine.axis(name).travel_mm
+        length = travel[1] - travel[0]
+        slack = 0.001 * length + 0.1
+        for header, values in positions_mm.items():
+            mine = (names == name) & np.isfinite(values)
+            outside = np.flatnonzero(mine & ((values < travel[0] - slack) | (values > travel[1] + slack)))
+            if len(outside):
+                worst = float(values[outside[np.argmax(np.abs(values[outside]))]])
+                unit = " Are the positions in µm?" if abs(worst) > 10 * max(map(abs, travel)) else ""
+                problems.error(
+                    "outside-travel",
+                    table.file,
+                    f"found {values[outside[0]]:g} mm on axis {name}, expected {travel[0]:g} to {travel[1]:g} mm."
+                    f"{unit}",
+                    "correct the position, or travel_mm of the axis in machine.toml.",
+                    table.rows[outside].tolist(),
+                    header,
+                )
+            elif not header.startswith("at_") and mine.sum() > 2 and 0 < np.ptp(values[mine]) < 0.01 * length:
+                problems.error(
+                    "position-unit",
+                    table.file,
+                    f"the positions of axis {name} use only {np.ptp(values[mine]):g} mm of {length:g} mm travel:"
+                    " are they in metres?",
+                    "give positions in mm.",
+                    (),
+                    header,
+                )
+
+
+def sweeps(table: Table, data: SweepPoints, problems: ProblemList) -> None:
+    """Every sweep needs three positions; the same time twice and long pauses inside a sweep are doubtful."""
+    short: list[int] = []
+    paused: list[int] = []
+    for number in range(int(data.sweep.max()) + 1):
+        mine = np.flatnonzero(data.sweep == number)
+        if len(np.unique(data.position_mm[mine])) < 3:
+            short.append(int(mine[0]))
+        steps = np.diff(data.t_s[mine])
+        long = np.flatnonzero((steps > 600) & (steps > 10 * np.median(steps))) if len(steps) > 2 else np.array([])
+        paused.extend(int(mine[k + 1]) for k in long)
+    if short:
+        problems.error(
+            "sweep-too-short",
+            table.file,
+            f"the sweep of axis {data.axis[short[0]]} that starts here has fewer than 3 different positions.",
+            "measure at least 3 positions; if the sweeps are parted wrongly, add a column `run`"
+            " with one number for each sweep.",
+            table.rows[short].tolist(),
+            table.header("position_mm"),
+        )
+    if paused:
+        problems.warning(
+            "sweep-pause",
+            table.file,
+            "the sweep pauses here for more than 10 min: are these two sweeps?",
+            "add a column `run` with one number for each sweep.",
+            table.rows[paused].tolist(),
+            table.header("t_s"),
+        )
+    _same_times(table, data, problems)
+
+
+def _same_times(table: Table, data: SweepPoints, problems: ProblemList) -> None:
+    still = np.flatnonzero(np.diff(data.t_s) == 0) + 1
+    twice = [i for i in still if data.axis[i] == data.axis[i - 1] and data.position_mm[i] == data.position_mm[i - 1]]
+    if twice:
+        problems.error(
+            "time-duplicate",
+            table.file,
+            "the same time, axis and position stand twice.",
+            "keep one of the rows.",
+            table.rows[twice].tolist(),
+            table.header("t_s"),
+        )
+    elif len(still):
+        problems.warning(
+            "time-duplicate",
+            table.file,
+            "several points carry the same time; a sweep takes minutes, and every point has its own time.",
+            "give each point the time at which it was measured.",
+            table.rows[still].tolist(),
+            table.header("t_s"),
+        )
+
+
+def covered(table: Table, t_s: Floats, heat: Temperatures, heat_file: str, problems: ProblemList) -> None:
+    """Temperatures must exist for the time of every measured error, within one sampling step."""
+    step = float(np.median(np.diff(heat.t_s))) if len(heat.t_s) > 1 else 0.0
+    first, last = float(heat.t_s[0]), float(heat.t_s[-1])
+    slack = max(step, 60.0)
+    outside = np.flatnonzero((t_s < first - slack) | (t_s > last + slack))
+    if len(outside):
+        problems.error(
+            "not-covered",
+            table.file,
+            f"found the time {t_s[outside[0]]:g} s, but {heat_file} covers only {first:g} to {last:g} s.",
+            "check that both tables count time from the same moment and in the unit of their header;"
+            " log temperatures over the whole campaign.",
+            table.rows[outside].tolist(),
+            table.header("t_s"),
+        )

@@ -1,0 +1,108 @@
+"""Tables on their own, for predictions: temperatures without a machine file, and positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from thetacomp.campaign import Floats, Temperatures
+from thetacomp.reading import campaigns
+from thetacomp.reading.columns import ANY_SENSORS, POSITIONS, Meaning, Schema, match
+from thetacomp.reading.problems import ProblemList, UnreadableError
+from thetacomp.reading.sources import Source, read_source
+from thetacomp.reading.tables import Table, convert
+from thetacomp.reading.workbook import Workbook
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Where an error is wanted, n rows: one moving axis (`axis`, `position_mm`), or all axes (`at_mm` by axis).
+
+    `axis` is "" and `position_mm` NaN where no moving axis is named.
+    """
+
+    t_s: Floats
+    axis: tuple[str, ...]
+    position_mm: Floats
+    tool_length_mm: Floats | None = None
+    at_mm: Mapping[str, Floats] = field(default_factory=dict)
+
+
+def read_temperatures(path: Path) -> Temperatures:
+    """Read a temperature table of any format; every column but time is a sensor. Raises InputError.
+
+    Absolute times (`time`) count in seconds from 1970-01-01, so that they agree with those of `read_positions`.
+    """
+    problems = ProblemList()
+    table = _table(Path(path), "temperatures", lambda source: ANY_SENSORS, problems)
+    data = campaigns.temperatures(table, 0, None, problems) if table is not None else None
+    problems.raise_errors()
+    assert data is not None
+    return data
+
+
+def read_positions(path: Path) -> Positions:
+    """Read positions: time, then `axis` and `position_mm`, or `<axis>_mm` columns, optional `tool_length_mm`.
+
+    Absolute times (`time`) count in seconds from 1970-01-01. Raises InputError.
+    """
+    problems = ProblemList()
+    table = _table(Path(path), "positions", _positions_schema, problems)
+    data = _positions(table, problems) if table is not None else None
+    problems.raise_errors()
+    assert data is not None
+    return data
+
+
+def _table(path: Path, name: str, wanted: Callable[[Source], Schema], problems: ProblemList) -> Table | None:
+    """A table of a file of its own; of a workbook the sheet of that name, else the first."""
+    try:
+        sheet = None
+        if path.suffix.lower() == ".xlsx":
+            sheet = next((s for s in Workbook(path).sheets if s.strip().lower() == name), None)
+        source = read_source(path, path.name, sheet)
+    except UnreadableError as refusal:
+        problems.refuse(path.name, refusal)
+        return None
+    schema = wanted(source)
+    matched = match(source, schema, problems)
+    return None if matched is None else convert(name, matched, schema, problems)
+
+
+def _positions_schema(source: Source) -> Schema:
+    headers = [column.header for column in source.columns]
+    axes = {
+        header: Meaning(header)
+        for header in headers
+        if header.endswith("_mm") and header != "_mm" and header not in POSITIONS.known
+    }
+    pair = ("axis", "position_mm")
+    required = (
+        POSITIONS.required if axes and not set(pair) & set(headers) else (*POSITIONS.required, *((p,) for p in pair))
+    )
+    return Schema(dict(POSITIONS.known) | axes, required, known_hint=POSITIONS.known_hint)
+
+
+def _positions(table: Table, problems: ProblemList) -> Positions:
+    n = len(table.rows)
+    axis = table.texts.get("axis", ("",) * n)
+    position = table.numbers.get("position_mm", np.full(n, np.nan))
+    lost = [i for i in range(n) if axis[i] and np.isnan(position[i])]
+    if lost:
+        problems.error(
+            "missing-value",
+            table.file,
+            f"the axis is {axis[lost[0]]}, but the position is empty.",
+            "fill in the position in mm.",
+            table.rows[lost].tolist(),
+            table.header("position_mm"),
+        )
+    at_mm = {
+        name.removesuffix("_mm"): values
+        for name, values in table.numbers.items()
+        if name not in ("position_mm", "tool_length_mm")
+    }
+    return Positions(table.t_s(0), axis, position, table.numbers.get("tool_length_mm"), at_mm)

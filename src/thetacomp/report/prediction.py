@@ -1,0 +1,70 @@
+"""What the stored model says at the states of a campaign, with its 95 % band. Used for pictures only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from thetacomp.analysis_result import Analysis
+from thetacomp.campaign import Floats
+from thetacomp.models.document import Component, LinearTerm
+from thetacomp.separation.result import ComponentSeparation
+
+
+@dataclass(frozen=True)
+class PredictedStates:
+    """Model at n states: `rise_K` (n, inputs) above the reference, intercept and slope (n,); slope absent at drift."""
+
+    rise_K: Floats
+    intercept_um: Floats
+    slope_um_per_m: Floats | None
+
+
+def term_at(term: LinearTerm, rise_K: Floats) -> Floats:
+    """Value of one term for rises (n, inputs), in the term's unit, shape (n,)."""
+    return np.asarray(term.constant + rise_K @ np.asarray(term.coefficients_per_K))
+
+
+def half_band(term: LinearTerm, dof: int, rise_K: Floats) -> Floats:
+    """Half width of the 95 % interval of a new state, shape (n,): Student's t times sqrt(x'Cx + s²)."""
+    design = np.column_stack([np.ones(len(rise_K)), rise_K])
+    covariance = np.asarray(term.covariance, dtype=float).reshape(design.shape[1], design.shape[1])
+    variance = np.einsum("ij,jk,ik->i", design, covariance, design) + term.residual_sd**2
+    return np.asarray(student_t.ppf(0.975, max(dof, 1)) * np.sqrt(np.clip(variance, 0.0, None)))
+
+
+def reference_degC(analysis: Analysis, state: ComponentSeparation, component: Component) -> Floats | None:
+    """Temperatures of the component's inputs where the error counts as zero; None where the campaign lacks one."""
+    if analysis.model.training.datum == "common":
+        return np.array([component.reference.temperature_degC[i] for i in component.inputs])
+    return inputs_degC(analysis, state, component, np.array([state.reference_s]))
+
+
+def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: Component, t_s: Floats) -> Floats | None:
+    """Temperatures of the component's inputs at times (n,), shape (n, inputs); None where the campaign lacks one."""
+    measured = analysis.folder.campaign(state.campaign).temperatures
+    if not set(component.inputs) <= set(measured.sensor_ids):
+        return None
+    columns = [measured.sensor_ids.index(i) for i in component.inputs]
+    return measured.at(t_s)[:, columns]
+
+
+def predict_states(analysis: Analysis, state: ComponentSeparation) -> PredictedStates | None:
+    """The stored model at every state of one separated component; None where the model does not hold it."""
+    component = analysis.model.components.get(state.component)
+    if component is None:
+        return None
+    now = inputs_degC(analysis, state, component, state.t_s)
+    start = reference_degC(analysis, state, component)
+    if now is None or start is None:
+        return None
+    rise_K = now - start
+    intercept = term_at(component.intercept, rise_K)
+    if component.slope is None or component.p0_mm is None:
+        return PredictedStates(rise_K, intercept, None)
+    slope = term_at(component.slope, rise_K)
+    # The model may count positions from another P0 than the separation; the line itself is the same.
+    intercept = intercept + slope * (state.p0_mm - component.p0_mm) / 1000.0
+    return PredictedStates(rise_K, intercept, slope)

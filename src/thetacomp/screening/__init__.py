@@ -1,0 +1,24 @@
+"""Data hygiene: faulty temperature channels found from the other sensors, mended where possible, reported with evidence.
+
+At run time it needs numpy alone, so that the online service can screen live samples with the same code.
+"""
+
+from thetacomp.screening.detector import Detector, Verdict
+from thetacomp.screening.faults import Finding, with_fault
+from thetacomp.screening.held_labels import find_held_labels
+from thetacomp.screening.model import DetectionLimit, ScreeningModel, from_json
+from thetacomp.screening.screen import Screening, fit_screening, screen
+
+__all__ = [
+    "DetectionLimit",
+    "Detector",
+    "Finding",
+    "Screening",
+    "ScreeningModel",
+    "Verdict",
+    "find_held_labels",
+    "fit_screening",
+    "from_json",
+    "screen",
+    "with_fault",
+]

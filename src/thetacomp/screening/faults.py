@@ -1,0 +1,112 @@
+"""What can go wrong with a thermometer: kinds of fault, what is reported about one, and faults put in on purpose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from thetacomp.campaign import Floats, Temperatures
+from thetacomp.errors import AnalysisError
+
+FaultKind = Literal["jump", "spike", "drift", "detached", "stuck", "saturated", "swapped", "missing", "unexplained"]
+InjectedKind = Literal["jump", "drift", "detached", "stuck", "saturated", "swapped", "missing"]
+Repair = Literal["shifted back", "reconstructed", "swapped back", "lost", "none"]
+PLAUSIBLE_DEGC = (-60.0, 300.0)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fault of one sensor, with the evidence.
+
+    `start_s` is the estimated begin, `detected_s` the time of the verdict, `end_s` None where the fault lasts.
+    `size_K` is the shift (jump, swapped), or the deviation from the prediction that was reached (drift, detached,
+    stuck); NaN where none is known. `statistic` stands against `threshold`: the residual of the increment over
+    `window_s` in standard deviations; for stuck, saturated and missing channels both are durations in seconds,
+    and for a spike of single samples (`window_s` 0) both count in the deviation that 1 % of healthy samples exceed.
+    `repair_u_K` is the standard deviation of a repaired value at the end of the fault. A sensor whose repair is `lost`
+    has no usable value from `start_s` on: use a model without it. `unexplained` has no sensor: more sensors left their
+    predictions at once than faults can explain, so the machine does what the training never showed.
+    """
+
+    sensor: str
+    kind: FaultKind
+    start_s: float
+    detected_s: float
+    end_s: float | None
+    size_K: float
+    statistic: float
+    threshold: float
+    window_s: float
+    repair: Repair
+    repaired_from: tuple[str, ...]
+    repair_u_K: float
+    partner: str = ""
+
+    def __str__(self) -> str:
+        size = f" {self.size_K:+.2f} K" if np.isfinite(self.size_K) else ""
+        partner = f" with {self.partner}" if self.partner else ""
+        timed = self.kind in ("stuck", "saturated", "missing")
+        if timed:
+            evidence = f"lasted {self.statistic:.0f} s, healthy at most {self.threshold:.0f} s"
+        elif self.window_s == 0.0:
+            evidence = f"{self.statistic:.1f} times the usual deviation of a sample, limit {self.threshold:.1f}"
+        else:
+            over = f"{self.window_s / 60:.0f} min"
+            evidence = f"{self.statistic:.1f} standard deviations over {over}, limit {self.threshold:.1f}"
+        mended = f"; {self.repair}"
+        if self.repaired_from:
+            mended += f" from {', '.join(self.repaired_from)} (u = {self.repair_u_K:.2g} K)"
+        who = self.sensor or "machine"
+        return f"{who}: {self.kind}{partner}{size} at {self.start_s / 3600:.2f} h ({evidence}){mended}"
+
+
+def with_fault(
+    temperatures: Temperatures,
+    sensor: str,
+    kind: InjectedKind,
+    start_s: float,
+    *,
+    size_K: float = 0.0,
+    rate_K_per_h: float = 0.5,
+    air_degC: float | Floats = 20.0,
+    time_constant_s: float = 300.0,
+    duration_s: float = np.inf,
+    partner: str = "",
+) -> Temperatures:
+    """The same table with one sensor made faulty from `start_s` on, for tests and trials.
+
+    `jump` adds `size_K`; `drift` adds a ramp; `detached` relaxes with `time_constant_s` towards air until `size_K` (K,
+    positive) of its distance from `air_degC` (a number, or one a sample) is lost: gain 1 - size / distance at the
+    start; `stuck` repeats the last value; `saturated` cuts off above the value at `start_s`; `swapped` exchanges with
+    `partner`; `missing` gives NaN. `duration_s` ends the fault. AnalysisError for a sensor that the table lacks.
+    """
+    for name in (sensor, *((partner,) if kind == "swapped" else ())):
+        if name not in temperatures.sensor_ids:
+            raise AnalysisError(f"the temperatures hold no sensor '{name}'")
+    t, value = temperatures.t_s, temperatures.value_degC.copy()
+    j = temperatures.sensor_ids.index(sensor)
+    on = (t >= start_s) & (t < start_s + duration_s)
+    if not on.any():
+        return temperatures
+    first = max(int(np.argmax(on)) - 1, 0)
+    own = value[:, j].copy()
+    if kind == "jump":
+        value[on, j] += size_K
+    elif kind == "drift":
+        value[on, j] += rate_K_per_h * (t[on] - start_s) / 3600.0
+    elif kind == "detached":
+        distance_K = own - air_degC
+        share = min(size_K / max(abs(float(distance_K[first])), 1e-9), 0.9)
+        value[on, j] -= share * distance_K[on] * -np.expm1(-(t[on] - start_s) / time_constant_s)
+    elif kind == "stuck":
+        value[on, j] = own[first]
+    elif kind == "saturated":
+        value[on, j] = np.minimum(own[on], own[first])
+    elif kind == "swapped":
+        k = temperatures.sensor_ids.index(partner)
+        value[on, j], value[on, k] = value[on, k].copy(), own[on]
+    else:
+        value[on, j] = np.nan
+    return replace(temperatures, value_degC=value)

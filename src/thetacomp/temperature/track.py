@@ -1,0 +1,84 @@
+"""Heat-history inputs of a campaign as differences from its reference, at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from thetacomp.campaign import Campaign, Duty, Floats, Temperatures
+from thetacomp.temperature.history import HistoryLayout, history_inputs
+
+SPEED = "spindle_rpm"
+
+
+@dataclass(frozen=True)
+class HistoryTrack:
+    """Inputs (n, k) of one campaign at the samples `t_s` (n,), and their values at the reference (k,)."""
+
+    t_s: Floats
+    inputs: Floats
+    reference: Floats
+
+    def at(self, t_s: Floats) -> Floats:
+        """Differences from the reference at other times, (len(t_s), k): linear between samples."""
+        return self.absolute(t_s) - self.reference
+
+    def absolute(self, t_s: Floats) -> Floats:
+        """The inputs themselves at other times, (len(t_s), k)."""
+        columns = [np.interp(t_s, self.t_s, self.inputs[:, j]) for j in range(self.inputs.shape[1])]
+        return np.column_stack(columns) if columns else np.zeros((len(t_s), 0))
+
+
+def history_layout(campaigns: Sequence[Campaign]) -> HistoryLayout | None:
+    """The inputs that all campaigns can give: sensors read in each, the speed where each has it. None without sensors.
+
+    A sensor with a missing sample at the start of a campaign is left out: its filter would have no state to start from.
+    """
+    common = [
+        {
+            name
+            for j, name in enumerate(campaign.temperatures.sensor_ids)
+            if np.isfinite(campaign.temperatures.value_degC[0, j])
+        }
+        for campaign in campaigns
+    ]
+    sensors = tuple(name for name in campaigns[0].temperatures.sensor_ids if all(name in ids for ids in common))
+    if not sensors:
+        return None
+    first = campaigns[0].temperatures
+    start_degC = [first.value_degC[0, first.sensor_ids.index(name)] for name in sensors]
+    with_speed = all(c.duty is not None and SPEED in c.duty.columns for c in campaigns)
+    return HistoryLayout(
+        sensors=sensors, base_degC=float(np.mean(start_degC)), speed_powers=(1, 2) if with_speed else ()
+    )
+
+
+def history_track(campaign: Campaign, layout: HistoryLayout, reference_s: float) -> HistoryTrack:
+    """Run the filters over a campaign; at rest on its first sample or on that of what came before."""
+    parts = [(campaign.temperatures, campaign.duty)]
+    if campaign.before is not None:
+        parts.insert(0, (campaign.before.temperatures, campaign.before.duty))
+    t_s = np.concatenate([table.t_s for table, _ in parts])
+    degC = np.vstack(
+        [table.at(table.t_s)[:, [table.sensor_ids.index(n) for n in layout.sensors]] for table, _ in parts]
+    )
+    speed_rpm = np.concatenate([_speed_rpm(duty, table.t_s) for table, duty in parts]) if layout.speed_powers else None
+    inputs = history_inputs(layout, t_s, degC, speed_rpm)
+    own = t_s >= campaign.temperatures.t_s[0]
+    track = HistoryTrack(t_s[own], inputs[own], np.zeros(inputs.shape[1]))
+    return replace(track, reference=track.absolute(np.array([reference_s]))[0])
+
+
+def _speed_rpm(duty: Duty | None, t_s: Floats) -> Floats:
+    """Spindle speed at the times of the temperatures: it holds until the next entry of the duty table."""
+    if duty is None:
+        return np.zeros(len(t_s))
+    rows = np.clip(np.searchsorted(duty.t_s, t_s, side="right") - 1, 0, None)
+    return np.nan_to_num(duty.columns[SPEED][rows])
+
+
+def _of_sensors(table: Temperatures, sensors: Sequence[str]) -> Floats:
+    """Samples of the named sensors, gaps bridged, (n, sensors)."""
+    return np.asarray(table.at(table.t_s)[:, [table.sensor_ids.index(name) for name in sensors]])
