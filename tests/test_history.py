@@ -14,7 +14,6 @@ from thetacomp.errors import AnalysisError
 from thetacomp.temperature.history import (
     FilterState,
     HistoryLayout,
-    held_labels,
     history_inputs,
     run_filters,
     start_filters,
@@ -145,11 +144,3 @@ def test_layout_without_speed_and_wrong_layouts():
         HistoryLayout(sensors=("a",), base_degC=20.0).signals(np.zeros((3, 1)))
     with pytest.raises(ValidationError, match="above zero and differ"):
         HistoryLayout(sensors=("a",), time_constants_s=(60.0, 60.0), base_degC=20.0)
-
-
-def test_held_labels_keep_the_first_sample_of_a_run():
-    t_s = np.arange(10) * 60.0
-    label_um = np.array([1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, np.nan, 3.0])
-    # 2.0 stands for 240 s, 3.0 for 60 s only
-    np.testing.assert_array_equal(np.flatnonzero(held_labels(t_s, label_um, longest_s=180.0)), [2, 3, 4, 5])
-    assert not held_labels(t_s, label_um, longest_s=240.0).any()

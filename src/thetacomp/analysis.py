@@ -14,6 +14,7 @@ from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_
 from thetacomp.models.build import build_document
 from thetacomp.models.history_model import history_procedure
 from thetacomp.models.procedures import default_procedure, paper_procedure
+from thetacomp.screening import fit_screening, screen
 from thetacomp.separation import ComponentSeparation, separate_campaign
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
@@ -28,6 +29,8 @@ from thetacomp.validation.verdict import with_verdict
 
 SEED = 20120951
 FORWARD = "forward"
+MIN_SCREENING_CAMPAIGNS = 2
+MIN_SCREENING_SAMPLES = 100
 
 Progress = Callable[[str], None]
 
@@ -47,6 +50,8 @@ def analyze_folder(
     campaigns = [folder.campaign(name) for name in (*train, *test)]
     _refuse_mixtures(campaigns)
 
+    progress("screening temperatures")
+    findings = _screening_notes(campaigns)
     progress("separating geometry and heat")
     separations = tuple(result for campaign in campaigns for result in separate_campaign(folder.machine, campaign))
     if not separations:
@@ -61,7 +66,7 @@ def analyze_folder(
     procedure, paper = default_procedure(folder.machine), paper_procedure(folder.machine)
     fitted = _fit(training, procedure)
     fitted_paper = _fit(training, paper)
-    notes = _notes(campaigns, separations)
+    notes = _notes(campaigns, separations) + findings
     model = build_document(folder, fitted, "default: weighted key points, least squares", train, notes)
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
 
@@ -217,6 +222,23 @@ def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparat
     notes += [note for campaign in campaigns for note in _cold_notes(campaign)]
     notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]
     return tuple(dict.fromkeys(notes))
+
+
+def _screening_notes(campaigns: Sequence[Campaign]) -> tuple[str, ...]:
+    """Faulty channels of every campaign, judged by what the others teach; needs two others with the same sensors."""
+    notes: list[str] = []
+    for campaign in campaigns:
+        ids = campaign.temperatures.sensor_ids
+        others = [c.temperatures for c in campaigns if c is not campaign and c.temperatures.sensor_ids == ids]
+        if len(others) < MIN_SCREENING_CAMPAIGNS or min(len(t.t_s) for t in others) < MIN_SCREENING_SAMPLES:
+            continue
+        try:
+            screening = screen(fit_screening(others), campaign.temperatures)
+        except AnalysisError as exc:
+            notes.append(f"campaign {campaign.name}: temperatures were not screened ({exc})")
+            continue
+        notes += [f"campaign {campaign.name}, temperatures: {finding}" for finding in screening.findings]
+    return tuple(notes)
 
 
 def _cold_notes(campaign: Campaign) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
-from thetacomp.cli import analyze, check, demo, export, keypoints, predict
+from thetacomp.cli import analyze, check, demo, export, keypoints, predict, twin
 
 app = typer.Typer(
     name="thetacomp",
@@ -39,6 +39,7 @@ app.command("keypoints")(keypoints.keypoints)
 app.command("analyze")(analyze.analyze)
 app.command("predict")(predict.predict)
 app.command("export")(export.export)
+app.command("twin")(twin.twin)
 
 
 if __name__ == "__main__":

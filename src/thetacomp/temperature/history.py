@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from thetacomp.campaign import Floats
@@ -214,19 +213,3 @@ def history_inputs(
     signals = layout.signals(temperature_degC, speed_rpm)
     lags, _ = run_filters(t_s, signals, layout.time_constants_s)
     return layout.inputs(signals, lags)
-
-
-def held_labels(
-    t_s: Floats, label_um: Floats, longest_s: float = 300.0, tolerance_um: float = 0.0
-) -> NDArray[np.bool_]:
-    """True where a displacement is no measurement: it stands frozen for longer than `longest_s`.
-
-    A run of equal values (each within `tolerance_um` of the one before) counts as held after its first sample, which
-    is a measurement. NaN ends a run. `t_s` and `label_um` (n,); choose `longest_s` well above the sampling interval.
-    """
-    label_um = np.asarray(label_um, dtype=np.float64)
-    same = np.concatenate([[False], np.abs(np.diff(label_um)) <= tolerance_um])
-    start = np.maximum.accumulate(np.where(same, 0, np.arange(len(label_um))))
-    run_s = np.zeros(len(label_um))
-    np.maximum.at(run_s, start, np.asarray(t_s) - np.asarray(t_s)[start])
-    return same & (run_s[start] > longest_s)

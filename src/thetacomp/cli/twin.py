@@ -1,0 +1,54 @@
+"""`thetacomp twin`: a virtual machine and its campaigns as a machine folder, the truth beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thetacomp.cli.common import JsonOption, Outcome, run
+
+
+def twin(
+    out: Annotated[Path, typer.Option(help="Machine folder to write; the truth goes to OUT-truth beside it.")],
+    preset: Annotated[str, typer.Option(help="standard, hard, or the path of a TOML file of conditions.")] = "standard",
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 1,
+    campaigns: Annotated[int, typer.Option(min=1, max=26, help="Number of campaigns; the first is the paper's.")] = 4,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a virtual boring and milling machine with its measured campaigns: a machine to try things on."""
+    run(lambda: _work(out, preset, seed, campaigns), as_json)
+
+
+def _work(out: Path, preset: str, seed: int, campaigns: int) -> Outcome:
+    from thetacomp.twin.campaigns import make_twin, plan_campaigns
+    from thetacomp.twin.conditions import load_conditions
+    from thetacomp.twin.description import load_description
+    from thetacomp.twin.picture import draw_machine
+    from thetacomp.twin.virtual import build
+    from thetacomp.twin.writer import refuse_filled, truth_folder, write_twin
+
+    refuse_filled(out)
+    conditions = load_conditions(preset)
+    machine = build(load_description(conditions.machine))
+    made = make_twin(machine, conditions, seed)
+    records = write_twin(out, made, plan_campaigns(made, campaigns))
+    picture = truth_folder(out) / "machine.png"
+    draw_machine(machine, records[0], picture)
+    lines = [f"{out}: {machine.description.name}, preset {conditions.name}, seed {seed}"]
+    for record in records:
+        points = int((record.truth.axis >= 0).sum())
+        lines.append(
+            f"  {record.plan.name}: {record.plan.kind} duty, chiller {record.plan.chiller},"
+            f" {record.truth.t_s[-1] / 3600:.1f} h, {points} sweep points"
+        )
+    lines.append(f"The truth is in {truth_folder(out)}; no other command reads it. Picture: {picture}")
+    data = {
+        "folder": str(out),
+        "truth": str(truth_folder(out)),
+        "preset": conditions.name,
+        "seed": seed,
+        "campaigns": [record.plan.name for record in records],
+    }
+    return Outcome("\n".join(lines), data)

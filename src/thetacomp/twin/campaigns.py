@@ -1,0 +1,255 @@
+"""A measuring campaign on the virtual machine: cold block, warm-up with sweeps, cool-down, and the truth beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import date, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thetacomp.twin import duty
+from thetacomp.twin.conditions import Conditions
+from thetacomp.twin.conditions import Work as WorkSettings
+from thetacomp.twin.geometry import MachineGeometry, draw_geometry
+from thetacomp.twin.hall import hall_inputs, yearly_degC
+from thetacomp.twin.instruments import (
+    Fault,
+    SensorTruth,
+    draw_faults,
+    fit_frame,
+    frame_design,
+    mount_sensors,
+    read_sensors,
+    set_up_tracker,
+    track,
+)
+from thetacomp.twin.mesh import Floats, Ints
+from thetacomp.twin.operation import STEP_S, History, Work, rest_state, simulate
+from thetacomp.twin.virtual import VirtualMachine
+
+NEW_YEAR = date(2026, 1, 1)
+START_HOUR = 7
+DAYS_BEFORE = 3  # the machine's past that still shows in its temperatures
+
+# A compensation under test: (reading times (m,), readings (m, sensors), times of the points (n,), positions of all
+# axes (n,) each) -> correction in µm (n, 3). It must not look at readings later than the point.
+Correction = Callable[[Floats, Floats, Floats, Mapping[str, Floats]], Floats]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One campaign before it is run. `day` counts from New Year; `kind` is "paper" or "random"."""
+
+    number: int
+    name: str
+    day: int
+    kind: str
+    chiller: str
+
+
+@dataclass(frozen=True)
+class Twin:
+    """One virtual machine with its own geometry and sensors under one preset; `seed` makes all of it repeatable."""
+
+    machine: VirtualMachine
+    conditions: Conditions
+    geometry: MachineGeometry
+    sensors: tuple[SensorTruth, ...]
+    seed: int
+
+
+def make_twin(machine: VirtualMachine, conditions: Conditions, seed: int) -> Twin:
+    """Draw geometry and sensors of one machine. The thermal parameters are those of the description, not drawn."""
+    rng = np.random.default_rng([seed, 0])
+    geometry = draw_geometry(rng, machine.description.machine_axes(), conditions.geometry)
+    sensors = mount_sensors(rng, [s.id for s in machine.description.sensors], conditions.pt100)
+    return Twin(machine, conditions, geometry, sensors, seed)
+
+
+@dataclass(frozen=True)
+class SweepTruth:
+    """All tool points of a campaign in order of time, n points. Errors are (n, 6): µm along, µrad about X, Y, Z.
+
+    `thermal` counts from the machine at its uniform reference temperature; `geometry` is what position and approach
+    alone make. `axis` is the index of the moving axis, -1 for points of the drift log.
+    """
+
+    t_s: Floats
+    axis: Ints
+    sweep: Ints
+    direction: Ints
+    positions_mm: Mapping[str, Floats]
+    tool_m: Floats
+    thermal: Floats
+    geometry: Floats
+
+
+@dataclass(frozen=True)
+class Record:
+    """What was measured in a campaign, and the truth. Temperatures (n, sensors), tool errors (points, 3)."""
+
+    plan: Plan
+    reference_s: float
+    temperature_t_s: Floats
+    temperature_degC: Floats
+    measured_um: Floats
+    work: Work
+    faults: tuple[Fault, ...]
+    truth: SweepTruth
+    history: History
+    begin_s: float
+
+
+def plan_campaigns(twin: Twin, count: int) -> tuple[Plan, ...]:
+    """The first campaign is the paper's run, the others are random work; days are spaced as the preset says."""
+    plans, conditions = [], twin.conditions
+    for k in range(count):
+        rng = np.random.default_rng([twin.seed, 1, k])
+        day = conditions.work.first_day + round(k * conditions.work.spacing_days)
+        chilled = rng.random() < conditions.work.chiller
+        chiller = (
+            ("on" if chilled else "off")
+            if not conditions.work.chiller_change
+            else ("on, later off" if chilled else "off, later on")
+        )
+        name = (NEW_YEAR + timedelta(days=day)).isoformat()
+        plans.append(Plan(k, name, day, "paper" if k == 0 else "random", chiller))
+    return tuple(plans)
+
+
+def run_campaign(twin: Twin, plan: Plan, correction: Correction | None = None) -> Record:
+    """Run one campaign and measure it. A correction is added to the commanded position, so to the error as well.
+
+    Each campaign has its own random stream, made from the twin's seed and the campaign's number, so the same
+    campaign comes out with or without a correction, alone or among others.
+    """
+    machine, conditions, sensors = twin.machine, twin.conditions, twin.sensors
+    rng = np.random.default_rng([twin.seed, 2, plan.number])
+    timetable, work = _timetable(machine, conditions, plan, rng)
+    history, begin_s = _live(machine, conditions, plan, work, rng)
+    faults = draw_faults(rng, [s.id for s in sensors], conditions.pt100, len(work.on) * STEP_S)
+    t_s, reading = read_sensors(rng, history, sensors, faults, conditions.pt100, begin_s)
+    truth = _truth(twin, history, begin_s, timetable)
+    error = truth.thermal[:, :3] + truth.geometry[:, :3]
+    if correction is not None:
+        error = error + correction(t_s, reading, truth.t_s, truth.positions_mm)
+    day = set_up_tracker(rng, conditions.tracker, truth.tool_m.mean(axis=0))
+    measured = track(rng, conditions.tracker, day, truth.tool_m, error, truth.sweep)
+    reference_s = float(np.ceil(truth.t_s[timetable.cold].max()))
+    # The frame comes from the cold block and stays: refitting it later would absorb the thermal error.
+    frame = fit_frame(truth.tool_m[timetable.cold], measured[timetable.cold])
+    measured = measured - (frame_design(truth.tool_m) @ frame).reshape(-1, 3)
+    return Record(plan, reference_s, t_s, reading, measured, work, faults, truth, history, begin_s)
+
+
+@dataclass(frozen=True)
+class _Timetable:
+    """Points of all sweeps: times, moving axis (-1 drift), sweep number, approach, positions, cold block."""
+
+    t_s: Floats
+    axis: Ints
+    sweep: Ints
+    direction: Ints
+    positions_mm: dict[str, Floats]
+    cold: NDArray[np.bool_]
+
+
+def _timetable(
+    machine: VirtualMachine, conditions: Conditions, plan: Plan, rng: np.random.Generator
+) -> tuple[_Timetable, Work]:
+    """When every point is taken, and the minutes of work between the rounds of sweeps."""
+    settings, axes = conditions.work, machine.description.axes
+    names = [a.name for a in axes]
+    rounds = [("cold", 0), ("cold", 0)]
+    blocks = round(settings.warm_h * 60 / settings.between_sweeps_min)
+    rounds += [("warm", round(settings.warm_h * 60 / blocks))] * blocks
+    cools = round(settings.cool_h * 60 / settings.between_sweeps_min)
+    rounds += [("cool", round(settings.between_sweeps_min))] * cools
+    points: list[tuple[float, int, int, int, float]] = []  # t, axis, sweep, direction, position
+    parts: list[Work] = []
+    now, sweep, cold_points = 0.0, 0, 0
+    for phase, minutes in rounds:
+        if minutes:
+            parts.append(_work_block(plan, phase, minutes, names, settings, rng))
+            now += minutes * STEP_S
+        begin = now
+        for a, axis in enumerate(axes):
+            targets = np.linspace(*axis.travel_mm, settings.points)
+            travel_s = (targets[1] - targets[0]) / (settings.sweep_feed_m_min * 1000 / 60)
+            now += 45.0  # from the middle to the start of the travel
+            for direction, order in ((1, targets), (-1, targets[::-1])):
+                for p in order:
+                    now += travel_s + settings.dwell_s
+                    points.append((now, a, sweep, direction, float(p)))
+                now += 10.0  # overrun, so that every target is approached from one side
+            sweep += 1
+            now += 45.0
+            points.append((now, -1, sweep, 1, 0.0))  # the middle once more: the drift log
+            sweep += 1
+        now = np.ceil(now / STEP_S) * STEP_S
+        parts.append(duty.idle(round((now - begin) / STEP_S), names, on=1.0))
+        if phase == "cold":
+            cold_points = len(points)
+    work = duty.join(parts)
+    table = np.array(points)
+    moving = table[:, 1].astype(np.int64)
+    positions = {}
+    for a, axis in enumerate(axes):
+        middle = 0.5 * (axis.travel_mm[0] + axis.travel_mm[1])
+        positions[axis.name] = np.where(moving == a, table[:, 4], middle)
+    cold = np.arange(len(table)) < cold_points
+    result = _Timetable(
+        table[:, 0], moving, table[:, 2].astype(np.int64), table[:, 3].astype(np.int64), positions, cold
+    )
+    return result, duty.with_chiller(work, _chiller(plan, len(work.on), rng))
+
+
+def _work_block(
+    plan: Plan, phase: str, minutes: int, names: list[str], settings: WorkSettings, rng: np.random.Generator
+) -> Work:
+    if phase == "cool":
+        return duty.idle(minutes, names, on=1.0)
+    if plan.kind == "paper":
+        return duty.paper_run(minutes, names)
+    return duty.random_shift(rng, minutes, names, settings)
+
+
+def _chiller(plan: Plan, n: int, rng: np.random.Generator) -> Floats:
+    change = round(n * rng.uniform(0.3, 0.6))
+    first, *later = plan.chiller.split(", later ")
+    out = np.full(n, 1.0 if first == "on" else 0.0)
+    if later:
+        out[change:] = 1.0 if later[0] == "on" else 0.0
+    return out
+
+
+def _live(
+    machine: VirtualMachine, conditions: Conditions, plan: Plan, work: Work, rng: np.random.Generator
+) -> tuple[History, float]:
+    """Some days before, the night, and the campaign; `begin_s` is when the campaign starts in the history."""
+    names = [a.name for a in machine.description.axes]
+    before = duty.weeks(rng, DAYS_BEFORE, names, conditions.work, first_weekday=int(rng.integers(0, 7)))
+    night = duty.idle(START_HOUR * 60, names)
+    whole = duty.join([before, night, work])
+    t_s = STEP_S * np.arange(float(len(whole.on)))
+    reference = machine.description.reference_degC
+    air, floor = hall_inputs(conditions.hall, rng, t_s, plan.day - DAYS_BEFORE, whole.on, reference)
+    start_air = air[:1440].mean(axis=0)
+    start_air[0] = yearly_degC(conditions.hall, np.array([plan.day - DAYS_BEFORE]))[0] - reference
+    history = simulate(machine, whole, air, floor, rest_state(machine, start_air, float(floor[0])))
+    return history, (len(before.on) + len(night.on)) * STEP_S
+
+
+def _truth(twin: Twin, history: History, begin_s: float, table: _Timetable) -> SweepTruth:
+    machine, length = twin.machine, twin.conditions.work.tool_length_mm
+    poses = history.poses(machine, begin_s + table.t_s)
+    thermal = machine.tool_error_um(poses, table.positions_mm, length)
+    approach = {}
+    for a, axis in enumerate(machine.description.axes):
+        # An axis that rests was last brought to its middle from below.
+        approach[axis.name] = np.where(table.axis == a, table.direction, 1).astype(float)
+    cold = twin.geometry.error_um(machine.tool, table.positions_mm, approach, length)
+    tool_m, _, _ = machine.tool.levers_m(table.positions_mm, length)
+    return SweepTruth(table.t_s, table.axis, table.sweep, table.direction, table.positions_mm, tool_m, thermal, cold)
