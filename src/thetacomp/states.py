@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,10 @@ class Samples:
     rise_K: Floats
     noise_sd_um: Floats
     history: Floats
+
+    def take(self, rows: Ints | Bools) -> Samples:
+        """Some of the samples; `state` goes on naming the same states."""
+        return Samples(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import numpy as np
 from thetacomp import __version__
 from thetacomp.campaign import MachineFolder
 from thetacomp.models.axis_model import AxisModel
-from thetacomp.models.document import Component, LinearTerm, ModelDocument, Reference, Training
+from thetacomp.models.document import Component, Fallback, LinearTerm, ModelDocument, Reference, Training
+from thetacomp.models.fallbacks import AxisFallback
 from thetacomp.models.linear import ThermalRegression
 from thetacomp.states import AxisStates
 
@@ -21,19 +22,21 @@ def build_document(
     method: str,
     train: Sequence[str],
     notes: Sequence[str] = (),
+    fallbacks: Sequence[AxisFallback] = (),
 ) -> ModelDocument:
     """The document of all axes. The stored reference is that of the first training campaign of each axis."""
     campaigns = [folder.campaign(name) for name in train]
     components: dict[str, Component] = {}
     ranges: dict[str, tuple[float, float]] = {}
     rises: dict[str, tuple[float, float]] = {}
-    for states, model in fitted:
+    for states, model in (*fitted, *((item.states, item.model) for item in fallbacks)):
         for name in model.inputs:
             column = states.sensors.index(name)
             rise = states.rise_K[:, column]
             reading = rise + states.reference_degC[:, column]
             rises[name] = _widen(rises.get(name), rise)
             ranges[name] = _widen(ranges.get(name), reading)
+    for states, model in fitted:
         for k, component in enumerate(states.components):
             components[component] = _component(states, model, k)
     unproven = any(campaign.settings.sign == "unproven" for campaign in campaigns)
@@ -54,6 +57,24 @@ def build_document(
             range_rise_K=rises,
         ),
         notes=tuple(notes),
+        fallbacks=_fallbacks(fallbacks),
+    )
+
+
+def _fallbacks(fallbacks: Sequence[AxisFallback]) -> tuple[Fallback, ...]:
+    """One entry a lost sensor, with the components of all axes that use it."""
+    return tuple(
+        Fallback(
+            lost=lost,
+            components={
+                name: _component(item.states, item.model, k)
+                for item in fallbacks
+                if item.lost == lost
+                for k, name in enumerate(item.states.components)
+            },
+            accuracy={name: value for item in fallbacks if item.lost == lost for name, value in item.accuracy.items()},
+        )
+        for lost in dict.fromkeys(item.lost for item in fallbacks)
     )
 
 

@@ -65,6 +65,25 @@ class Component(Strict):
     equation: str
 
 
+class Accuracy(Strict):
+    """Held-out RMS errors of one component in µm: with all sensors, without the lost one, without any compensation."""
+
+    full_rms_um: float
+    without_rms_um: float
+    nothing_rms_um: float
+
+
+class Fallback(Strict):
+    """Ready components for the day on which the sensor `lost` is lost: all those that use it, made without it.
+
+    `accuracy` has one entry a component. The held-out errors come from the same procedure inside every fold.
+    """
+
+    lost: str
+    components: dict[str, Component]
+    accuracy: dict[str, Accuracy]
+
+
 class Training(Strict):
     """What the model was trained on. `range_degC` is the span of each input, `range_rise_K` that of its rise."""
 
@@ -94,6 +113,7 @@ class ModelDocument(Strict):
     training: Training
     failed_checks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    fallbacks: tuple[Fallback, ...] = ()
 
     def to_json(self) -> str:
         """The document as indented JSON text, non-ASCII letters kept readable."""

@@ -79,7 +79,7 @@ def _residuals(
     parts = []
     for fold, model in fitted:
         chosen = _judged(states, samples, fold.test)
-        value, half_width = model.predict(label, states, _some(samples, chosen))
+        value, half_width = model.predict(label, states, samples.take(chosen))
         parts.append((np.flatnonzero(chosen), value, half_width))
     rows = np.concatenate([part[0] for part in parts])
     order = np.argsort(rows, kind="stable")
@@ -87,7 +87,7 @@ def _residuals(
     predicted = np.concatenate([part[1] for part in parts])[order]
     half_width = np.concatenate([part[2] for part in parts])[order]
     value = samples.value_um[rows]
-    flattering, _ = whole.predict(label, states, _some(samples, rows))
+    flattering, _ = whole.predict(label, states, samples.take(rows))
     known = np.isfinite(predicted)
     state = samples.state[rows][known]
     return Residuals(
@@ -107,18 +107,6 @@ def _judged(states: AxisStates, samples: Samples, tested: Ints) -> Bools:
     """Samples of the tested states; a cold state that is zero by definition proves nothing and is left out."""
     chosen = np.isin(samples.state, tested)
     return chosen & ~states.cold[samples.state] if states.exact_zero else chosen
-
-
-def _some(samples: Samples, chosen: Ints | np.ndarray) -> Samples:
-    return Samples(
-        state=samples.state[chosen],
-        lever_m=samples.lever_m[chosen],
-        value_um=samples.value_um[chosen],
-        elapsed_h=samples.elapsed_h[chosen],
-        rise_K=samples.rise_K[chosen],
-        noise_sd_um=samples.noise_sd_um[chosen],
-        history=samples.history[chosen],
-    )
 
 
 def rows_of(residuals: Residuals, campaigns: Sequence[str]) -> tuple[ValidationRow, ...]:

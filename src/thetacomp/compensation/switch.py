@@ -1,0 +1,75 @@
+"""Changing the model while the machine runs: the fallback for lost sensors, and a switch without a bump.
+
+At the switch the difference of the two models is kept as an offset, so the output goes on from where it was. The
+offset decays slowly, or stays until the next probe, which takes it over (`adaptation.absorb`). Time is an argument.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from thetacomp.models.document import Component, ModelDocument
+
+DECAY_S = 4 * 3600.0
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What is added to the running model since the switch at `t_s`: one value each of the outputs that were carried.
+
+    The outputs are those that must not jump: an offset in µm, or intercept (µm) and slope (µm/m) so that no position
+    jumps. `decay_s` is the time constant of the decay, None to keep the values until the next probe.
+    JSON-able by `dataclasses.asdict`.
+    """
+
+    t_s: float
+    values: tuple[float, ...]
+    decay_s: float | None = DECAY_S
+
+    def at(self, t_s: float) -> tuple[float, ...]:
+        """The carried values at `t_s`. Raises ValueError for a time before the switch."""
+        if t_s < self.t_s:
+            raise ValueError(f"{t_s:g} s lies before the switch at {self.t_s:g} s")
+        left = 1.0 if self.decay_s is None else math.exp((self.t_s - t_s) / self.decay_s)
+        return tuple(left * value for value in self.values)
+
+
+def switch(t_s: float, output: Sequence[float], model: Sequence[float], decay_s: float | None = DECAY_S) -> Carried:
+    """Carry the output over to another model: `output` is what was put out last, `model` what the new model says.
+
+    Serves every change of model alike: to a fallback, to another one, and back when the sensor returns.
+    """
+    return Carried(t_s, tuple(old - new for old, new in zip(output, model, strict=True)), decay_s)
+
+
+@dataclass(frozen=True)
+class Degraded:
+    """A model for the sensors that are left, and the components that nothing is ready for."""
+
+    model: ModelDocument
+    replaced: tuple[str, ...]
+    ended: tuple[str, ...]
+
+
+def degraded(model: ModelDocument, lost: Collection[str]) -> Degraded:
+    """The model without the lost sensors: every component that uses one comes from a fallback that uses none.
+
+    Where several fallbacks could serve, the one with the smallest held-out error is taken. A component without any is
+    left out and named in `ended`: its compensation ends, the others go on.
+    """
+    components: dict[str, Component] = {}
+    replaced, ended = [], []
+    for name, component in model.components.items():
+        if not set(lost) & set(component.inputs):
+            components[name] = component
+            continue
+        ready = [f for f in model.fallbacks if name in f.components and not set(lost) & set(f.components[name].inputs)]
+        if ready:
+            best = min(ready, key=lambda fallback: fallback.accuracy[name].without_rms_um)
+            components[name] = best.components[name]
+            replaced.append(name)
+        else:
+            ended.append(name)
+    return Degraded(model.model_copy(update={"components": components}), tuple(replaced), tuple(ended))

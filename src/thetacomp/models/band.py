@@ -1,0 +1,69 @@
+"""The band around a prediction: its half width from the inputs of this moment. Numpy only.
+
+`half width = quantile × √(base² + growth² g(h))` with h the leverage of the inputs (see `reach`) and
+`g = h / (h + knee) × (1 + h / far)`. Near the reference h is small and the band is `quantile × base`. Past the knee g
+stays near 1, since inside the training campaigns the error no longer grows with the leverage. Past `far`, the
+largest held-out leverage, g grows with h: nothing is known there, and the band widens in proportion to the distance.
+The quantile comes from held-out campaigns, see `validation.conformal`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from thetacomp.campaign import Floats
+from thetacomp.models.reach import Reach
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Typical size of the error in µm against the leverage; see the module's head."""
+
+    base_um: float
+    growth_um: float
+    knee: float
+    far: float
+
+    def at(self, leverage: Floats) -> Floats:
+        """Scale (n,) in µm at leverages (n,)."""
+        bent = leverage / (leverage + self.knee) * (1.0 + leverage / self.far)
+        scale_um: Floats = np.sqrt(self.base_um**2 + self.growth_um**2 * bent)
+        return scale_um
+
+
+@dataclass(frozen=True)
+class Band:
+    """A conformal band of one error component, in µm.
+
+    `level` is what the band reaches in campaigns like those of calibration, `wanted_level` what was asked for,
+    `guaranteed_level` what it reaches in the worst case, and `attainable_level` the highest level that `campaigns`
+    calibration campaigns can guarantee, m / (m + 1). `quantile` is the factor on the scale. `sentence` says the level
+    in words.
+    """
+
+    wanted_level: float
+    level: float
+    guaranteed_level: float
+    attainable_level: float
+    campaigns: int
+    quantile: float
+    scale: Scale
+    reach: Reach
+    sentence: str
+
+    def half_width_um(self, inputs: Floats) -> Floats:
+        """Half width (n,) of the band at inputs (n, k), which count from the reference as the model's do."""
+        return self.quantile * self.scale.at(self.reach.leverage(inputs))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The band as JSON-able numbers."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, raw: Mapping[str, Any]) -> Band:
+        """The inverse of `to_dict`."""
+        return cls(**{**raw, "scale": Scale(**raw["scale"]), "reach": Reach.from_dict(raw["reach"])})
