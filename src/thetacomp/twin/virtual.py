@@ -15,7 +15,7 @@ try:
     from thetacomp.twin.elastic import Supported, assemble, scalar_spaces
 except ImportError:
     raise AnalysisError(
-        "the virtual machine needs scikit-fem, which is not installed. Fix: pip install 'thetacomp[twin]'"
+        "the virtual machine needs scikit-fem, which is not installed. Fix: pip install scikit-fem"
     ) from None
 from thetacomp.twin.kinematics import ToolMap, carry_pose, support_bodies, tool_rows
 from thetacomp.twin.reduced import ReducedModel, reduce_system
