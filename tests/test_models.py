@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from small_models import component, document, term
 from thetacomp.errors import ModelFileError
@@ -94,3 +99,25 @@ def test_unknown_keys_of_a_model_are_refused(tmp_path: Path) -> None:
         load_model(path)
     path.write_text(json.dumps(raw), encoding="utf-8")
     assert load_model(path) == small
+
+
+def test_scikit_learn_accepts_the_estimator() -> None:
+    """Model selection and pipelines of scikit-learn use it like their own; the scores are those of LinearRegression."""
+    X, y = _data(n=40, m=1)
+    ours = cross_val_score(make_pipeline(StandardScaler(), ThermalRegression()), X, y[:, 0], cv=4)
+    theirs = cross_val_score(make_pipeline(StandardScaler(), LinearRegression()), X, y[:, 0], cv=4)
+    assert ours == pytest.approx(theirs)
+    search = GridSearchCV(ThermalRegression(), {"fit_intercept": [True, False]}, cv=4).fit(X, y[:, 0])
+    assert search.best_params_ == {"fit_intercept": True}
+    with pytest.raises(ValueError, match="has no parameter 'intercept'"):
+        ThermalRegression().set_params(intercept=True)
+    with pytest.raises(ValueError, match="not fitted yet"):
+        ThermalRegression().predict(X)
+    with pytest.raises(ValueError, match="missing or infinite"):
+        ThermalRegression().fit(np.full((5, 1), np.nan), np.zeros(5))
+
+
+def test_an_analysis_loads_neither_scikit_learn_nor_pandas() -> None:
+    code = "import sys, thetacomp.analysis, thetacomp.reading, thetacomp.report; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"sklearn", "pandas", "numba"} & set(loaded)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from thetacomp.campaign import Floats, Ints
 from thetacomp.errors import AnalysisError
@@ -50,7 +50,7 @@ class AxisModel:
         value[known] = np.sum(regression.predict(X) * basis, axis=1)
         scatter = np.einsum("ij,jk,ik->i", basis, regression.residual_covariance_, basis)
         variance = scatter * (1.0 + regression.leverage(X)) + samples.noise_sd_um[known] ** 2
-        half_width[known] = stats.t.ppf(0.5 + COVERAGE / 2, regression.dof_) * np.sqrt(np.maximum(variance, 0.0))
+        half_width[known] = special.stdtrit(regression.dof_, 0.5 + COVERAGE / 2) * np.sqrt(np.maximum(variance, 0.0))
         return value, half_width
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils.validation import check_is_fitted, validate_data
 
 from thetacomp.campaign import Floats
+from thetacomp.models.estimator import Regressor
 
 
-class ThermalRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+class ThermalRegression(Regressor):
     """Least squares of several parameters on the same inputs (paper, section 4).
 
     `fit(X, y)`: X (n, p) temperature rises in K, y (n,) or (n, m) parameters such as intercept (µm) and slope (µm/m).
@@ -28,8 +27,11 @@ class ThermalRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit the regression; see the class for shapes and units."""
-        checked: tuple[Floats, Floats] = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=float)
-        inputs, targets = checked
+        inputs = self._checked_inputs(X)
+        targets = np.asarray(y, dtype=float)
+        if len(targets) != len(inputs) or not np.isfinite(targets).all():
+            raise ValueError(f"y must have {len(inputs)} finite rows, found shape {targets.shape}")
+        self.n_features_in_ = inputs.shape[1]
         self._single_ = targets.ndim == 1
         targets = targets.reshape(len(inputs), -1)
         n, p = inputs.shape
@@ -57,20 +59,14 @@ class ThermalRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def predict(self, X: ArrayLike) -> Floats:
         """Parameters at temperature rises X (n, p): (n,) or (n, m) as in `fit`."""
-        check_is_fitted(self)
-        inputs: Floats = validate_data(self, X, dtype=float, reset=False)
+        self._require_fit()
+        inputs = self._checked_inputs(X, self.n_features_in_)
         out = inputs @ self.coef_.T + self.intercept_
         return np.asarray(out[:, 0] if self._single_ else out)
 
     def leverage(self, X: ArrayLike) -> Floats:
         """`x (X'X)^-1 x'` of each row, (n,): the factor by which the residual variance enters the coefficients."""
-        check_is_fitted(self)
-        inputs: Floats = validate_data(self, X, dtype=float, reset=False)
+        self._require_fit()
+        inputs = self._checked_inputs(X, self.n_features_in_)
         design = np.column_stack([np.ones(len(inputs)), inputs])
         return np.asarray(np.einsum("ij,jk,ik->i", design, self.unscaled_covariance_, design))
-
-    def __sklearn_tags__(self) -> Any:
-        """Capabilities that scikit-learn asks for."""
-        tags = super().__sklearn_tags__()
-        tags.target_tags.multi_output = True
-        return tags

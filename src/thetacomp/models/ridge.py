@@ -19,11 +19,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils.validation import check_is_fitted
 
 from thetacomp.campaign import Floats
 from thetacomp.errors import AnalysisError
+from thetacomp.models.estimator import Regressor
 from thetacomp.temperature.history import HistoryLayout
 
 # strengths relative to inputs of unit variance, half a decade apart
@@ -150,7 +149,7 @@ def ridge_path(
     return path
 
 
-class HistoryRidge(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
+class HistoryRidge(Regressor):
     """The averaged block ridge as a scikit-learn regressor; fit(X, y, groups) with one group label a row.
 
     `blocks` names the inputs block by block (`HistoryLayout.blocks`), `candidates` the block models to average.
@@ -208,13 +207,13 @@ class HistoryRidge(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scik
 
     def predict(self, X: ArrayLike) -> Floats:
         """Errors (n,) or (n, targets) in µm."""
-        check_is_fitted(self, "coef_")
+        self._require_fit()
         predicted: Floats = np.asarray(X, dtype=np.float64) @ self.coef_.T
         return predicted
 
     def parameters(self) -> dict[str, Any]:
         """The fitted model as JSON-able numbers: coefficient of every input by name, a list over the targets."""
-        check_is_fitted(self, "coef_")
+        self._require_fit()
         names = [name for block in self.blocks.values() for name in block]
         coef = np.atleast_2d(self.coef_)
         return {"inputs": names, "coefficients": [[float(value) for value in row] for row in coef]}

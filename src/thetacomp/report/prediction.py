@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher_f
-from scipy.stats import t as student_t
+from scipy import special
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Floats
@@ -33,7 +32,7 @@ def half_band(term: LinearTerm, dof: int, rise_K: Floats) -> Floats:
     design = np.column_stack([np.ones(len(rise_K)), rise_K])
     covariance = np.asarray(term.covariance, dtype=float).reshape(design.shape[1], design.shape[1])
     variance = np.einsum("ij,jk,ik->i", design, covariance, design) + term.residual_sd**2
-    return np.asarray(student_t.ppf(0.975, max(dof, 1)) * np.sqrt(np.clip(variance, 0.0, None)))
+    return np.asarray(special.stdtrit(max(dof, 1), 0.975) * np.sqrt(np.clip(variance, 0.0, None)))
 
 
 def explains(term: LinearTerm, dof: int, chance: float = 0.05) -> bool:
@@ -48,7 +47,7 @@ def explains(term: LinearTerm, dof: int, chance: float = 0.05) -> bool:
     z = coefficient / scale
     correlation = covariance / np.outer(scale, scale)
     statistic = float(z @ np.linalg.pinv(correlation, hermitian=True) @ z) / len(z)
-    return bool(fisher_f.sf(statistic, len(z), max(dof, 1)) <= chance)
+    return bool(special.fdtrc(len(z), max(dof, 1), statistic) <= chance)
 
 
 def reference_degC(analysis: Analysis, state: ComponentSeparation, component: Component) -> Floats | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Parameters, SweepPoints
 from thetacomp.errors import AnalysisError
@@ -217,7 +217,7 @@ def _linearity(data: ComponentData, fit: JointFit) -> LinearityTest | None:
     if freedom < 5:
         return None
     statistic = max((rss_line - rss_shape) / terms / (rss_shape / freedom), 0.0)
-    p_value = float(stats.f.sf(statistic, terms, freedom))
+    p_value = float(special.fdtrc(terms, freedom, statistic))
     worst = int(np.argmax(np.abs(change)))
     return LinearityTest(
         f_statistic=float(statistic),
