@@ -90,6 +90,18 @@ def test_missing_model_file(tmp_path: Path) -> None:
         load_model(tmp_path / "model.json")
 
 
+def test_a_model_saved_again_by_windows_notepad_is_read_and_nonsense_is_not(tmp_path: Path) -> None:
+    small = document({}, {"DX": component("DX", term(0.0, 1.0), None, {"t1": 20.0})}, {"t1": (0.0, 5.0)})
+    path = tmp_path / "model.json"
+    path.write_text(small.to_json(), encoding="utf-8-sig")
+    assert load_model(path) == small
+    raw = json.loads(small.to_json())
+    raw["components"]["DX"]["dof"] = -3
+    path.write_text(json.dumps(raw), encoding="utf-8")
+    with pytest.raises(ModelFileError, match=r"components\.DX\.dof"):
+        load_model(path)
+
+
 def test_unknown_keys_of_a_model_are_refused(tmp_path: Path) -> None:
     small = document({}, {"DX": component("DX", term(0.0, 1.0), None, {"t1": 20.0})}, {"t1": (0.0, 5.0)})
     raw = json.loads(small.to_json())

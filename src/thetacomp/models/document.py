@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from thetacomp.errors import ModelFileError
 from thetacomp.machine import Axis, Strict
@@ -32,7 +32,7 @@ class LinearTerm(Strict):
     constant: float
     coefficients_per_K: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
-    residual_sd: float
+    residual_sd: Annotated[float, Field(ge=0.0)]
     r_squared: float
 
 
@@ -58,7 +58,7 @@ class Component(Strict):
     slope: LinearTerm | None
     residual_correlation: float
     through_zero: bool = False
-    dof: int
+    dof: Annotated[int, Field(ge=0)]
     states: int
     residual_um: tuple[float, float]
     held_out_um: tuple[float, float, float] | None = None
@@ -127,7 +127,7 @@ class ModelDocument(Strict):
 def load_model(path: Path) -> ModelDocument:
     """Read a stored model. Raises ModelFileError with what was found, what was expected and what to do."""
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        raw = json.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise ModelFileError(
             f"{path}: there is no such file. Fix: name the model.json that `thetacomp analyze` wrote."
