@@ -21,6 +21,7 @@ from thetacomp.compensation.law import laws
 from thetacomp.controllers.ascii_text import ascii_names, ascii_text
 from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.controllers.sinumerik_remarks import differing
+from thetacomp.errors import InputError
 from thetacomp.models.document import ModelDocument
 
 FILES = (
@@ -651,3 +652,13 @@ def test_an_older_cec_file_is_pointed_out(tmp_path: Path) -> None:
     exx = component("EXX", term(0.0, 1.0), term(0.0, 1.0), {"t": 20.0})
     export(tmp_path, document({"X": "+X"}, {"EXX": exx}, {"t": (0.0, 5.0)}))
     assert "An older sinumerik_cec.ini is still in" in console(tmp_path)[1]
+
+
+def test_an_axis_name_that_no_control_can_have_is_asked_for() -> None:
+    """A Chinese axis name would become a register without a name; the settings must say which channel axis it is."""
+    slope = term(0.0, 5.0)
+    model = document({"立柱": "+Y"}, {"EY立柱": component("EY立柱", slope, slope, {"t1": 20.0})}, {"t1": (0.0, 5.0)})
+    with pytest.raises(InputError, match=r"cannot have an axis 立柱1 .*\[axis_name\]"):
+        make_plan(model, SinumerikSettings())
+    plan = make_plan(model, SinumerikSettings(axis_name={"立柱": "Y1"}))
+    assert plan.axes[0].channel_axis == "Y1"

@@ -9,6 +9,7 @@ table, and the drift of one direction to one single K0: every intercept holds it
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -27,7 +28,8 @@ TABLE_POINTS = 11  # ten steps: the step stays an exact decimal number, so MAX -
 GRID_STATES = 10
 Sign = Literal[1, -1]
 Cartesian = Literal["X", "Y", "Z"]
-AxisName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+AXIS_NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
+AxisName = Annotated[str, Field(pattern=AXIS_NAME)]
 
 
 class SinumerikSettings(Strict):
@@ -380,6 +382,14 @@ def _check_settings(model: ModelDocument, settings: SinumerikSettings, file: str
         if lacking or spare:
             text = f"reference_degC: missing {lacking or 'nothing'}, not an input of the model: {spare or 'nothing'}."
             found.append((text, f"give the temperature of each of {sorted(inputs)}."))
+    for axis in model.axes:
+        if axis.name not in settings.axis_name and not re.match(AXIS_NAME, f"{axis.name}1"):
+            found.append(
+                (
+                    f"axis_name: the control cannot have an axis {axis.name}1 (Latin letters, digits and _ only).",
+                    f'name its channel axis in export.toml: [axis_name] "{axis.name}" = "Y1".',
+                )
+            )
     for key, values in (
         ("axis_number", [str(settings.axis_number.get(a.name, i + 1)) for i, a in enumerate(model.axes)]),
         ("axis_name", [settings.axis_name.get(a.name, f"{a.name}1") for a in model.axes]),
