@@ -9,7 +9,7 @@ from thetacomp.campaign import CorrelationTable, Floats, Ints
 
 # Below this many states the lag-1 autocorrelation cannot be told from the warm-up trend itself.
 LONG_SERIES = 50
-STATES_OF_A_CAMPAIGN = 5
+STATES_OF_A_CAMPAIGN = 2
 
 
 def correlations(a: Floats, b: Floats) -> tuple[Floats, Floats]:
@@ -70,12 +70,12 @@ def effective_count(a: Floats, b: Floats, count: Floats, campaign: Ints) -> Floa
     n (1 - r1 r2) / (1 + r1 r2) with the lag-1 autocorrelations r1, r2 of the two series: Bretherton et al. 1999,
     "The effective number of spatial degrees of freedom of a time-varying field", J. Climate 12, 1990-2009, eq. (31).
     Series of up to 50 states keep their count: there the formula would count the warm-up itself as autocorrelation.
-    For the same reason a campaign counts as five independent states at least: cold, warming, warm, cooling, cooled.
+    For the same reason a campaign counts as two independent states at least, one warming and one cooling, plus one.
     """
     if len(a) <= LONG_SERIES:
         return count
     product = np.outer(lag_one(a, campaign), lag_one(b, campaign))
-    least = np.minimum(count, STATES_OF_A_CAMPAIGN * len(np.unique(campaign)))
+    least = np.minimum(count, STATES_OF_A_CAMPAIGN * len(np.unique(campaign)) + 1)
     return np.asarray(np.maximum(count * (1.0 - product) / (1.0 + product), least))
 
 
