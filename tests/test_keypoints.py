@@ -396,3 +396,12 @@ def test_drive_sensors() -> None:
     )
     assert drive_sensors(machine, "X") == ("scale", "nut")
     assert drive_sensors(machine, "") == drive_sensors(None, "X") == ()
+
+
+def test_a_smooth_long_record_keeps_two_states_a_campaign() -> None:
+    """Two campaigns of smooth ramps: the lag-1 formula alone would leave about one independent pair of 4000."""
+    campaign = np.repeat([0, 1], 2000)
+    ramp = np.tile(1 - np.exp(-np.arange(2000) / 1e5), 2)[:, None]
+    n = effective_count(ramp, ramp, np.array([[4000.0]]), campaign)
+    assert n[0, 0] == pytest.approx(5.0)
+    assert p_value(np.array([[0.9999]]), n)[0, 0] < 1e-4

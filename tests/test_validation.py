@@ -7,7 +7,7 @@ import pytest
 
 from thermal_network import network, operate
 from thetacomp.analysis import _screening_notes, analyze_folder, fit_for_use
-from thetacomp.campaign import Campaign, CampaignSettings, Drift, MachineFolder, Parameters, Temperatures
+from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters, Temperatures
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.models.axis_model import all_sensors, clock, fit_axis, training_mean
@@ -292,17 +292,3 @@ def test_a_faulty_channel_is_told_with_the_evidence() -> None:
     assert any(note.startswith("campaign c2, temperatures: theta_2: jump") for note in notes), notes
     assert not any(note.startswith("campaign c0") for note in notes)
     assert _screening_notes(campaigns[:2]) == ()
-
-
-def test_a_smooth_long_record_with_a_perfect_relation_is_not_called_chance() -> None:
-    """Two campaigns of 2000 samples, error 10 µm/K: the lag-1 autocorrelation alone would leave no independent state."""
-    campaigns = []
-    for k in range(2):
-        t_s = 15.0 * np.arange(2000)
-        rise = (6.0 + k) * (1 - np.exp(-t_s / (4000.0 + 3000.0 * k)))
-        error = np.column_stack([10.0 * rise, np.full((2000, 2), np.nan)])
-        heat = Temperatures(t_s, ("a", "b", "c"), 20.0 + np.column_stack([rise, 0.1 * rise**2, np.zeros(2000)]))
-        settings = CampaignSettings(datum="common")
-        campaigns.append(Campaign(f"c{k}", settings, heat, drift=Drift(t_s, error)))
-    analysis = analyze_folder(MachineFolder(MACHINE, tuple(campaigns)))
-    assert "a" in analysis.model.components["DX"].inputs
