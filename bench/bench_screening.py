@@ -296,13 +296,13 @@ def false_alarms(seed: int, months: float) -> tuple[float, int]:
     return hours, alarms
 
 
-def main() -> None:
+def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recording", type=Path, default=RECORDING)
-    parser.add_argument("--machines", type=int, default=2, help="synthetic machines")
-    parser.add_argument("--each", type=int, default=2, help="campaigns put under test, of every machine")
+    parser.add_argument("--machines", type=int, default=1, help="synthetic machines")
+    parser.add_argument("--each", type=int, default=1, help="campaigns put under test, of every machine")
     parser.add_argument("--months", type=float, default=1.0, help="healthy months of every synthetic machine")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     if options.recording.exists():
         records = real_records(options.recording)
         cases, hours, alarms, seconds = run(records, range(min(options.each, len(records))), 1)
@@ -320,4 +320,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

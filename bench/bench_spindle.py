@@ -1,6 +1,6 @@
 """The spindle recording, held out by campaign: nothing, mean, least squares, ridge, heat history, hourly probes.
 
-Run: python bench/bench_spindle.py PATH/data.xlsx
+Run: python bench/run.py spindle, or python bench/bench_spindle.py PATH/data.xlsx
 All settings are chosen inside the training campaigns by one procedure; the datum is never set anew. The error is
 zero at the first row by definition (the datum was set there); no displacement of a held-out campaign is used, except
 by the probes in the last line. bench/spindle_log.md lists every configuration whose held-out score was looked at.
@@ -25,6 +25,7 @@ from thetacomp.temperature.history import HistoryLayout, history_inputs
 CAMPAIGN_ROWS = (0, 1951, 3871, 5791, 7711, 9631, 11115)
 CHANNELS = ("ch1", "ch2", "ch3", "ch4", "ch5")
 LOG = Path(__file__).with_name("spindle_log.md")
+RECORDING = Path(__file__).parents[2] / "shared" / "data" / "caiviac_fl_thermal" / "data.xlsx"
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,10 @@ def scored_configurations() -> int:
     return sum(line.startswith("| ") and line[2].isdigit() for line in LOG.read_text(encoding="utf-8").splitlines())
 
 
-def main(path: Path) -> None:
+def main(path: Path = RECORDING) -> None:
+    if not path.exists():
+        print(f"\nSpindle recording: not run, {path.name} is not there")
+        return
     spindle = read_spindle(path)
     y, theta, every = spindle.displacement_um, spindle.temperature_degC, np.ones(len(spindle.t_s), dtype=bool)
     begin = time.perf_counter()
