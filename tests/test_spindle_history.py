@@ -15,9 +15,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data" / "caiviac_fl_thermal" / "data.xlsx"
-pytestmark = [
-    pytest.mark.skipif(not DATA.exists(), reason="the spindle recording is not beside the repository (../shared/data)"),
-]
+pytestmark = pytest.mark.shared_data("caiviac_fl_thermal/data.xlsx")
 
 
 @pytest.fixture(scope="module")
