@@ -60,7 +60,7 @@ def analyze_folder(
             " Fix: put sweeps.csv, parameters.csv or drift.csv into a campaign."
         )
     everything = axis_states(folder, separations, [*train, *test])
-    training = axis_states(folder, separations, train)
+    training = axis_states(folder, separations, train) if test else everything
 
     progress("choosing key points and fitting")
     procedure, paper = default_procedure(folder.machine), paper_procedure(folder.machine)
@@ -71,7 +71,7 @@ def analyze_folder(
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
 
     progress("validating on held-out data")
-    residuals, rows, held_out, fold_notes = _validate(folder, everything, test, procedure, paper)
+    residuals, rows, held_out, fold_notes = _validate(folder, everything, test, fitted, procedure, paper)
     permutations = _permutations(training, procedure)
     judged = [r for r in residuals if r.split != FORWARD]
     judged_rows = [row for row in rows if row.split != FORWARD]
@@ -183,6 +183,7 @@ def _validate(
     folder: MachineFolder,
     everything: Sequence[AxisStates],
     test: Sequence[str],
+    fitted: Sequence[tuple[AxisStates, AxisModel]],
     procedure: Procedure,
     paper: Procedure,
 ) -> tuple[list[Residuals], tuple[ValidationRow, ...], tuple[HeldOutStates, ...], tuple[str, ...]]:
@@ -191,6 +192,7 @@ def _validate(
     rows: list[ValidationRow] = []
     by_state: list[HeldOutStates] = []
     notes: list[str] = []
+    stored = {model.axis: model.inputs for _, model in fitted}
     for states in everything:
         procedures: dict[str, AnyProcedure] = {
             "default": procedure,
@@ -208,7 +210,7 @@ def _validate(
         for kind, some in ((split, folds), (FORWARD, _new_folds(forward_in_time(states), folds))):
             if some:
                 own += held_out_residuals(states, kind, some, procedures)
-        notes += _fold_notes(states, folds, procedure)
+        notes += _fold_notes(states, folds, procedure, stored.get(states.axis, ()))
         cartesian = next((a.cartesian for a in folder.machine.axes if a.name == states.axis), "")
         for item in own:
             rows += rows_of(item, states.campaigns)
@@ -223,9 +225,8 @@ def _new_folds(some: Sequence[Fold], known: Sequence[Fold]) -> list[Fold]:
     return [fold for fold in some if not any(np.array_equal(fold.test, other.test) for other in known)]
 
 
-def _fold_notes(states: AxisStates, folds: Sequence[Fold], procedure: Procedure) -> list[str]:
+def _fold_notes(states: AxisStates, folds: Sequence[Fold], procedure: Procedure, stored: tuple[str, ...]) -> list[str]:
     """Where the folds chose other sensors than the stored model, its held-out figures are those of its relatives."""
-    stored = procedure(states).inputs
     chosen = [procedure(states.take(fold.train)).inputs for fold in folds]
     others = {inputs for inputs in chosen if set(inputs) != set(stored)}
     if not others:

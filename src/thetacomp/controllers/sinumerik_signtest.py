@@ -21,7 +21,6 @@ class SignTest:
     where: str
     datum: str
     enter: str
-    indicator_along: str
     direction: str
     movement_um: float
     setting: str
@@ -55,7 +54,6 @@ def _axis_test(
         where=where,
         datum=enter[0],
         enter=enter[1],
-        indicator_along=axis.axis.cartesian,
         direction=_toward(axis.axis.cartesian, -sign * axis.axis.sign * value_mm),
         movement_um=abs(value_mm) * 1e3,
         setting="sign_temperature",
@@ -74,7 +72,6 @@ def _table_test(plan: Plan, table: SagTable) -> SignTest:
         where=f"{table.base.channel_axis} at {number(position_mm)} mm",
         datum="SD41310",
         enter=f"$SN_CEC_TABLE_WEIGHT[{table.index}] = {weight:.6f}",
-        indicator_along=table.output.axis.cartesian,
         direction=_toward(table.output.axis.cartesian, -sign * table.output.axis.sign * value_mm),
         movement_um=abs(value_mm) * 1e3,
         setting="sign_cec",

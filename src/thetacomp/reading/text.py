@@ -16,7 +16,6 @@ from thetacomp.campaign import Floats, Ints
 from thetacomp.reading.problems import UnreadableError, shortened
 
 DELIMITERS = (",", ";", "\t")
-DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab"}
 SAVE_AS_UTF8 = "save the file as UTF-8 (in Excel: Save as, 'CSV UTF-8')."
 
 _SIGNATURES = (

@@ -66,6 +66,7 @@ class JointFit:
     outlier: Bools
     noise_sd_um: float
     dof: float
+    rss_um2: float
 
 
 def lever_m(data: ComponentData) -> Floats:
@@ -194,7 +195,6 @@ def find_outliers(data: ComponentData, curve: Curve, directions: Sequence[int], 
     """Points more than 4.5 robust standard deviations from a Huber fit, (n,)."""
     system = _system(data, curve, directions, states, np.zeros((len(data.t_s), 0)))
     weight = np.ones(len(data.error_um))
-    outlier = np.zeros(len(weight), dtype=bool)
     for _ in range(30):
         solution = _solve(system, data.error_um, weight, data.angle_sd_urad)
         scaled = np.abs(solution.residual) / _robust_scale(solution.residual, len(weight) - solution.dof)
@@ -217,7 +217,6 @@ def fit_component(data: ComponentData) -> JointFit:
     """Separate one component: outliers first, then the curve by hold-out, then the joint fit on the good points."""
     directions = tuple(int(d) for d in np.unique(data.direction))
     states = np.flatnonzero(~data.cold)
-    outlier = np.zeros(len(data.error_um), dtype=bool)
     # Outliers disturb the choice of the curve and a stiff curve makes good points look like outliers: start flexible.
     curve = flexible_curve(data.position_mm)
     for _ in range(2):
@@ -244,14 +243,15 @@ def fit_component(data: ComponentData) -> JointFit:
         outlier=outlier,
         noise_sd_um=solution.noise_sd_um,
         dof=solution.dof,
+        rss_um2=solution.rss,
     )
 
 
-def shape_change(data: ComponentData, fit: JointFit) -> tuple[float, float, int, Floats, Floats]:
+def shape_change(data: ComponentData, fit: JointFit) -> tuple[float, int, Floats, Floats]:
     """Fit a change of shape to every heated sweep: second and third Legendre terms and a change of reversal.
 
-    Returns the residual sums of squares without and with it, the number of added terms, and for each heated sweep
-    and measured point the change of shape with its standard error, both (n,).
+    Returns the residual sum of squares with it, the number of added terms, and for each heated sweep and measured
+    point the change of shape with its standard error, both (n,).
     """
     good = ~fit.outlier
     span = (data.position_mm.min(), data.position_mm.max())
@@ -261,15 +261,9 @@ def shape_change(data: ComponentData, fit: JointFit) -> tuple[float, float, int,
         terms.append(data.direction / 2.0)
     blocks = [term * (data.sweep == state) for state in fit.states for term in terms]
     extra = np.column_stack(blocks)
-    plain = _solve(
-        _system(data, fit.curve, fit.directions, fit.states, extra[:, :0]),
-        data.error_um,
-        good.astype(float),
-        data.angle_sd_urad,
-    )
     system = _system(data, fit.curve, fit.directions, fit.states, extra)
     rich = _solve(system, data.error_um, good.astype(float), data.angle_sd_urad)
     tail = slice(system.angle.stop, system.design.shape[1])
     change = extra @ rich.coefficients[tail]
     variance = np.einsum("ij,jk,ik->i", extra, rich.covariance[tail, tail], extra)
-    return plain.rss, rich.rss, extra.shape[1], change, np.sqrt(np.maximum(variance, 0.0))
+    return rich.rss, extra.shape[1], change, np.sqrt(np.maximum(variance, 0.0))

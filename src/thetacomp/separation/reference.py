@@ -15,24 +15,22 @@ DRIFT_WINDOW_S = 300.0
 
 @dataclass(frozen=True)
 class SweepTable:
-    """One row a sweep, in order of time: its number, axis, first, middle and last moment."""
+    """One row a sweep, in order of time: its number, axis, first and last moment."""
 
     sweep: Ints
     axis: tuple[str, ...]
     start_s: Floats
-    middle_s: Floats
     end_s: Floats
 
 
 def sweep_table(points: SweepPoints) -> SweepTable:
-    """Start, middle (mean time of the points) and end of every sweep."""
+    """Start and end of every sweep."""
     numbers = np.unique(points.sweep)
     rows = [np.flatnonzero(points.sweep == number) for number in numbers]
     return SweepTable(
         sweep=numbers,
         axis=tuple(points.axis[row[0]] for row in rows),
         start_s=np.array([points.t_s[row].min() for row in rows]),
-        middle_s=np.array([points.t_s[row].mean() for row in rows]),
         end_s=np.array([points.t_s[row].max() for row in rows]),
     )
 

@@ -212,11 +212,11 @@ def _linearity(data: ComponentData, fit: JointFit) -> LinearityTest | None:
     """F-test of a change of shape in the heated sweeps against the scatter of the points."""
     if not len(fit.states):
         return None
-    rss_line, rss_shape, terms, change, se = shape_change(data, fit)
+    rss_shape, terms, change, se = shape_change(data, fit)
     freedom = fit.dof - terms
     if freedom < 5:
         return None
-    statistic = max((rss_line - rss_shape) / terms / (rss_shape / freedom), 0.0)
+    statistic = max((fit.rss_um2 - rss_shape) / terms / (rss_shape / freedom), 0.0)
     p_value = float(special.fdtrc(terms, freedom, statistic))
     worst = int(np.argmax(np.abs(change)))
     return LinearityTest(

@@ -61,9 +61,7 @@ def history_track(campaign: Campaign, layout: HistoryLayout, zero_t_s: Floats) -
     if campaign.before is not None:
         parts.insert(0, (campaign.before.temperatures, campaign.before.duty))
     t_s = np.concatenate([table.t_s for table, _ in parts])
-    degC = np.vstack(
-        [table.at(table.t_s)[:, [table.sensor_ids.index(n) for n in layout.sensors]] for table, _ in parts]
-    )
+    degC = np.vstack([_of_sensors(table, layout.sensors) for table, _ in parts])
     speed_rpm = np.concatenate([_speed_rpm(duty, table.t_s) for table, duty in parts]) if layout.speed_powers else None
     inputs = history_inputs(layout, t_s, degC, speed_rpm)
     own = t_s >= campaign.temperatures.t_s[0]

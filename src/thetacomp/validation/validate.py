@@ -111,11 +111,17 @@ def _judged(states: AxisStates, samples: Samples, tested: Ints) -> Bools:
 
 def rows_of(residuals: Residuals, campaigns: Sequence[str]) -> tuple[ValidationRow, ...]:
     """One row a campaign and, where there are several, one over `all`."""
-    present = np.unique(residuals.campaign)
-    groups = [(campaigns[index], residuals.campaign == index) for index in present]
+    groups = _by_campaign(residuals.campaign, campaigns)
+    return tuple(_row(residuals, residuals.component, name, chosen) for name, chosen in groups)
+
+
+def _by_campaign(campaign: Ints, names: Sequence[str]) -> list[tuple[str, Bools]]:
+    """Name and rows of every campaign that occurs, and of `all` where there are several."""
+    present = np.unique(campaign)
+    groups = [(names[index], campaign == index) for index in present]
     if len(present) > 1:
-        groups.append((ALL_CAMPAIGNS, np.ones(len(residuals.campaign), dtype=bool)))
-    return tuple(_row(residuals, residuals.component, name, chosen) for name, chosen in groups if chosen.any())
+        groups.append((ALL_CAMPAIGNS, np.ones(len(campaign), dtype=bool)))
+    return groups
 
 
 def _row(residuals: Residuals, component: str, campaign: str, chosen: np.ndarray) -> ValidationRow:
@@ -170,11 +176,7 @@ def column_rows(states: AxisStates, residuals: Sequence[Residuals], cartesian: s
             continue
         present, before, after, in_sample = _largest_by_state(item)
         worst = np.column_stack([before, after, in_sample])
-        campaign = states.campaign[present]
-        groups = [(states.campaigns[index], campaign == index) for index in np.unique(campaign)]
-        if len(groups) > 1:
-            groups.append((ALL_CAMPAIGNS, np.ones(len(campaign), dtype=bool)))
-        for name, chosen in groups:
+        for name, chosen in _by_campaign(states.campaign[present], states.campaigns):
             before, after, in_sample = worst[chosen].T
             rows.append(_figures(f"column_{direction}", name, item, before, after, in_sample, float("nan")))
     return tuple(rows)
