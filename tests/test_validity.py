@@ -10,8 +10,8 @@ import pytest
 
 from synthetic_campaigns import LAYOUT, SENSORS, SUMMER, WINTER, Recording, inputs_of, synthetic_machine
 from thetacomp.campaign import Floats
-from thetacomp.compensation.fade import FADE_PER_S, FADE_START, faded_um, model_weight, step_weight
 from thetacomp.errors import AnalysisError
+from thetacomp.models.fade import FADE_PER_S, FADE_START, faded_um, model_weight, step_weight
 from thetacomp.models.prior import fit_prior
 from thetacomp.models.ridge import HistoryRidge, history_candidates
 from thetacomp.models.validity import Validity

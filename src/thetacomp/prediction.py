@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from thetacomp.campaign import CARTESIAN, Duty, Floats, Temperatures
 from thetacomp.compensation.domain import Limit, history_limits, limits
-from thetacomp.compensation.history_law import HistoryLaw, HistoryMoments, check_history
 from thetacomp.compensation.law import Law, laws
 from thetacomp.errors import AnalysisError
 from thetacomp.models.document import Component, HistoryAxis, ModelDocument
+from thetacomp.models.history_law import HistoryLaw, HistoryMoments, check_history
 from thetacomp.temperature.track import recorded_inputs
 
 Reference = Literal["first_row", "model"] | float

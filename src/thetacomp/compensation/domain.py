@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats
-from thetacomp.compensation.history_law import HistoryLaw
 from thetacomp.compensation.law import CONFIDENCE, Law
 from thetacomp.compensation.student import t_quantile
 from thetacomp.models.document import LinearTerm, Training
+from thetacomp.models.history_law import HistoryLaw
 
 MARGIN_OF_SPAN = 0.05
 MARGIN_MM = 1.0

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.campaign import Floats
-from thetacomp.compensation.history_law import HistoryLaw, HistoryMoments
 from thetacomp.errors import AnalysisError
 from thetacomp.models.document import HistoryAxis, HistoryComponent, HistoryReference
+from thetacomp.models.history_law import HistoryLaw, HistoryMoments
 from thetacomp.models.history_model import HistoryModel, history_procedure
 from thetacomp.models.prior import fit_prior
 from thetacomp.separation.result import Bools

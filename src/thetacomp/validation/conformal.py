@@ -32,9 +32,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from thetacomp.campaign import Floats
-from thetacomp.compensation.student import t_quantile
 from thetacomp.errors import AnalysisError
 from thetacomp.models.band import Band, Scale
 from thetacomp.models.reach import Reach
@@ -196,7 +196,8 @@ def _normal_quantile(scores: Floats, campaign: NDArray[Any], level: float) -> fl
     squares = np.array([np.mean(scores[campaign == label] ** 2) for label in np.unique(campaign)])
     m, v = len(squares), float(squares.mean())
     variance = (float(np.sum((squares - v) ** 2)) + 4.0 * v**2) / (m + 1)
-    return t_quantile(0.5 + level / 2, round(2.0 * m * v**2 / max(variance, 1e-300))) * math.sqrt(v)
+    dof = 2.0 * m * v**2 / max(variance, 1e-300)
+    return float(special.stdtrit(dof, 0.5 + level / 2)) * math.sqrt(v)
 
 
 def level_sentence(campaigns: int, level: float, guaranteed: float) -> str:

@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from thetacomp.campaign import Floats
-from thetacomp.compensation.fade import faded_um, model_weight
 from thetacomp.errors import ModelFileError
 from thetacomp.models.document import HistoryAxis, HistoryComponent
+from thetacomp.models.fade import faded_um, model_weight
 
 
 @dataclass(frozen=True)
