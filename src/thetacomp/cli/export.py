@@ -46,18 +46,19 @@ def _export(model_path: Path, target: str, out: Path, settings: Path | None) -> 
             "The sign of this model is unproven: its source does not state the sign convention or the axis directions."
             " The files are for preparation and sign tests, not for compensation."
         )
-    if model.failed_checks:
-        count = len(model.failed_checks)
+    failed = model.failed_export_checks
+    if failed:
+        count = len(failed)
         reasons.append(f"The model failed {count} acceptance check{'s' if count > 1 else ''}.")
     lines += [f"NOT FIT FOR USE: {reason}" for reason in reasons]
-    lines += [f"  - {sentence}" for sentence in model.failed_checks]
+    lines += [f"  - {sentence}" for sentence in failed]
     if not reasons:
         lines.append("Next: follow commissioning_sheet.html; nothing is compensated before its sign test has passed.")
     data = {
         "out": str(out),
         "files": [file.name for file in made.files],
         "sign": model.sign,
-        "failed_checks": list(model.failed_checks),
+        "failed_checks": list(failed),
         "remarks": list(made.remarks),
         "reason": " ".join(reasons),
     }

@@ -171,9 +171,9 @@ def _head(plan: Plan) -> list[str]:
     lines = [f"; thermal compensation for SINUMERIK, written by thetacomp {__version__}"]
     if plan.sign_unproven:
         lines += [f"; !!! {line} !!!" for line in UNPROVEN]
-    if model.failed_checks:
+    if model.failed_export_checks:
         lines.append(f"; !!! NOT FIT FOR USE: {failed_checks(plan)} !!!")
-        lines += [f"; !!! - {sentence}" for sentence in model.failed_checks]
+        lines += [f"; !!! - {sentence}" for sentence in model.failed_export_checks]
     machine, campaigns = (ascii_text(text).strip() for text in (model.machine, ", ".join(model.training.campaigns)))
     cec = f", sign_cec = {plan.settings.sign_cec:+d}; both wait" if plan.tables else "; it waits"
     lines += [

@@ -9,7 +9,21 @@ def remarks(plan: Plan) -> tuple[str, ...]:
     """Everything to be said on the console: drift that does not agree, and errors that are not compensated."""
     worst = worst_drift(plan)
     drift = (f"DRIFT DOES NOT AGREE: {worst}",) if worst else ()
-    return (*drift, *not_compensated(plan))
+    return (*drift, *left_to_history(plan), *not_compensated(plan))
+
+
+def left_to_history(plan: Plan) -> tuple[str, ...]:
+    """What the law on key temperatures gives away against the model on heat history, held out."""
+    worse = []
+    for name, component in plan.model.components.items():
+        axis = plan.model.history.get(component.axis or "")
+        better = axis.components.get(name) if axis else None
+        if better and better.held_out_um and component.held_out_um and better.held_out_um[0] < component.held_out_um[0]:
+            worse.append(f"{name} {component.held_out_um[0]:.1f} instead of {better.held_out_um[0]:.1f} µm")
+    if not plan.model.history:
+        return ()
+    told = f" Held out it leaves (RMS): {', '.join(worse)}." if worse else ""
+    return (f"the control carries the law on key temperatures; heat history needs filters that run beside it.{told}",)
 
 
 def differing(plan: Plan) -> tuple[LeftOut, ...]:
@@ -55,7 +69,7 @@ def not_compensated(plan: Plan) -> tuple[str, ...]:
 
 def failed_checks(plan: Plan) -> str:
     """How many acceptance checks the model failed, as the head of their list; empty where none failed."""
-    count = len(plan.model.failed_checks)
+    count = len(plan.model.failed_export_checks)
     return f"the model failed {count} acceptance check{'s' if count > 1 else ''}" if count else ""
 
 

@@ -114,9 +114,9 @@ def commissioning_sheet(plan: Plan) -> str:
 
 
 def _failed(plan: Plan) -> str:
-    if not plan.model.failed_checks:
+    if not plan.model.failed_export_checks:
         return ""
-    items = "".join(f"<li>{escape(sentence)}</li>" for sentence in plan.model.failed_checks)
+    items = "".join(f"<li>{escape(sentence)}</li>" for sentence in plan.model.failed_export_checks)
     return f'<div class="banner">NOT FIT FOR USE: {failed_checks(plan)}.<ul>{items}</ul></div>'
 
 

@@ -181,6 +181,11 @@ class ModelDocument(Strict):
     history: dict[str, HistoryAxis] = Field(default_factory=dict)
     failed_static_checks: tuple[str, ...] = ()
 
+    @property
+    def failed_export_checks(self) -> tuple[str, ...]:
+        """The acceptance checks that `components` failed: what stands in the way of handing them to a control."""
+        return self.failed_static_checks if self.history else self.failed_checks
+
     def to_json(self) -> str:
         """The document as indented JSON text, rows of numbers on one line, non-ASCII letters kept readable."""
         return _indented(self.model_dump(mode="json")) + "\n"

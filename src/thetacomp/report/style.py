@@ -40,6 +40,7 @@ MODEL_MARKERS = {"nothing": "|", "default": "o", "clock": "^", "one_sensor": "s"
 MODEL_NAMES = {
     "nothing": "uncompensated",
     "default": "model",
+    "key_points": "law on key points",
     "clock": "clock alone",
     "one_sensor": "one key sensor",
     "paper": "paper's method",

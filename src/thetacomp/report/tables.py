@@ -23,7 +23,7 @@ NOT_AVAILABLE = "–"
 NOTHING_CHOSEN = "only sensor with readings: nothing was chosen"
 _MOST_STATES = 24
 POOLED = "all"  # the campaign name of rows over all campaigns
-_MODEL_ORDER = ("default", "clock", "one_sensor", "all_sensors", "training_mean", "nothing")
+_MODEL_ORDER = ("default", "key_points", "clock", "one_sensor", "all_sensors", "training_mean", "nothing")
 
 
 def number(value: float | None, digits: int = 1) -> str:
