@@ -1,4 +1,4 @@
-"""The default model: heat history stored with border, prior and bands, on a machine whose heat is slow (known truth)."""
+"""The default model, heat history with border, prior and bands, on a machine whose heat is slow (known truth)."""
 
 from __future__ import annotations
 
@@ -166,9 +166,22 @@ def test_missing_inputs_are_told(analysis: Analysis) -> None:
     rows = Rows(np.array([600.0]), ("Y",), np.array([0.0]))
     with pytest.raises(AnalysisError, match="spindle speed"):
         predict(analysis.model, unseen.temperatures, rows)
+    other = Temperatures(unseen.temperatures.t_s, ("c",), unseen.temperatures.value_degC[:, :1])
+    with pytest.raises(AnalysisError, match="no column a, b"):
+        predict(analysis.model, other, rows, duty=unseen.duty)
+
+
+def test_a_lost_sensor_degrades_the_prediction_instead_of_ending_it(analysis: Analysis) -> None:
+    unseen = campaign(9)
+    whole = predicted(analysis, unseen)
     only_a = Temperatures(unseen.temperatures.t_s, ("a",), unseen.temperatures.value_degC[:, :1])
-    with pytest.raises(AnalysisError, match="no column b"):
-        predict(analysis.model, only_a, rows, duty=unseen.duty)
+    rest = predicted(analysis, replace(unseen, temperatures=only_a))
+    assert whole.replaced == {}
+    accuracy = rest.replaced["EYY"]
+    assert accuracy is not None
+    assert accuracy.full_rms_um <= 1.1 * accuracy.without_rms_um < 0.3 * accuracy.nothing_rms_um
+    half = (rest.upper_um - rest.lower_um)[:, 1]
+    assert np.mean(np.abs(rest.error_um - whole.error_um)[:, 1] <= half / 2) > 0.8
 
 
 def test_a_gap_stays_a_gap(analysis: Analysis) -> None:

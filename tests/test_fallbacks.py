@@ -7,21 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synthetic_campaigns import LAYOUT, SENSORS, WINTER, inputs_of, synthetic_machine
-from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters, Temperatures
+from synthetic_campaigns import LAYOUT, SENSORS, WINTER, Recording, inputs_of, synthetic_machine
+from thetacomp.campaign import Campaign, CampaignSettings, Drift, MachineFolder, Parameters, Temperatures
 from thetacomp.compensation.law import laws
 from thetacomp.compensation.switch import degraded, switch
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.models.axis_model import AxisModel, clock, fit_axis
 from thetacomp.models.build import build_document
-from thetacomp.models.document import ModelDocument, load_model
-from thetacomp.models.fallbacks import axis_fallbacks, history_fallbacks, states_without
+from thetacomp.models.document import HistoryAxis, ModelDocument, load_model
+from thetacomp.models.fallbacks import axis_fallbacks, states_without
+from thetacomp.models.history_law import HistoryLaw, HistoryMoments, check_history, without_sensor
 from thetacomp.models.ridge import HistoryRidge, history_candidates
 from thetacomp.separation import separate_folder
 from thetacomp.states import AxisStates, axis_states
-from thetacomp.temperature.history import HistoryLayout
+from thetacomp.validation.calibrated import calibrated_history
 from thetacomp.validation.folds import hold_out
+from thetacomp.validation.lost_sensors import with_fallbacks
 
 IDS = ("nut", "bearing", "bed")
 MACHINE = Machine(
@@ -120,7 +122,7 @@ def test_a_lost_sensor_degrades_the_model_and_two_may_end_a_component(stored: Mo
     assert set(two.ended) == {"EXY", "EYY", "EZY"}
     assert two.model.components == {}
     # a sensor of the fallback alone is not missed while the key sensor is there
-    assert degraded(stored, {"bearing"}).replaced == ()
+    assert degraded(stored, {"bearing"}).replaced == {}
 
 
 def test_the_most_accurate_fallback_is_taken(stored: ModelDocument) -> None:
@@ -167,30 +169,55 @@ def test_the_clock_needs_no_fallback_and_one_sensor_has_none() -> None:
         return fit_axis(some, ("nut",))
 
     assert axis_fallbacks(states, only_nut(states), only_nut, folds) == ()
-    one = HistoryLayout(sensors=("a",), speed_powers=(), base_degC=20.0)
-    with pytest.raises(AnalysisError, match="at least two"):
-        history_fallbacks(one, lambda layout: np.ones((4, 1)), np.ones(4), np.arange(4), folds=2)
 
 
 def test_history_model_goes_on_without_any_of_its_sensors() -> None:
     rng = np.random.default_rng(100)
     machine = synthetic_machine(rng)
     known, unseen = machine.record(rng, 20, WINTER), machine.record(rng, 20, WINTER)
-    ready = history_fallbacks(
-        LAYOUT, lambda layout: inputs_of(known, layout), known.displacement_um, known.campaign, folds=5
-    )
-    assert tuple(fallback.lost for fallback in ready) == SENSORS
+    axis = with_history_fallbacks(drift_folder(known))
+    assert tuple(fallback.lost for fallback in axis.fallbacks) == SENSORS
     kept = []
-    for fallback in ready:
-        assert fallback.lost not in fallback.layout.sensors
-        left_um = unseen.displacement_um - fallback.model.predict(inputs_of(unseen, fallback.layout))
-        rms_um = float(np.sqrt(np.mean(left_um**2)))
-        kept.append(rms_um / fallback.accuracy.without_rms_um)
-        assert rms_um < 0.25 * fallback.accuracy.nothing_rms_um
+    for fallback in axis.fallbacks:
+        rest = without_sensor(axis, fallback.lost)
+        assert rest is not None
+        check_history("", rest)
+        assert fallback.lost not in rest.layout.sensors
+        columns = [SENSORS.index(name) for name in rest.layout.sensors]
+        degC = unseen.temperature_degC[:, columns]
+        law = HistoryLaw(rest, HistoryMoments(inputs_of(unseen, rest.layout), degC))
+        error_um = unseen.displacement_um - law.line("DX")[0]
+        rms_um = float(np.sqrt(np.mean(error_um**2)))
+        accuracy = fallback.accuracy["DX"]
+        kept.append(rms_um / accuracy.without_rms_um)
+        assert rms_um < 0.25 * accuracy.nothing_rms_um
+        # the band is that of the full model, widened by what the loss costs
+        assert np.mean(np.abs(error_um) <= law.half_width_um("DX")) > 0.88
     # what was promised held out is what 20 new campaigns show, on average over the sensors
     assert np.mean(kept) == pytest.approx(1.0, abs=0.25)
     # a sensor that the others can replace costs nothing, but not every one can be that
-    assert max(fallback.accuracy.without_rms_um / fallback.accuracy.full_rms_um for fallback in ready) > 1.2
+    ratios = [f.accuracy["DX"].without_rms_um / f.accuracy["DX"].full_rms_um for f in axis.fallbacks]
+    assert max(ratios) > 1.2
+    assert without_sensor(axis, "theta_99") is None
+
+
+def drift_folder(recording: Recording) -> MachineFolder:
+    """The campaigns of a recording as drift logs in X."""
+    made = []
+    for label in np.unique(recording.campaign):
+        own = recording.take(recording.campaign == label)
+        error_um = np.full((len(own.t_s), 3), np.nan)
+        error_um[:, 0] = own.displacement_um
+        heat = Temperatures(own.t_s, SENSORS, own.temperature_degC)
+        made.append(Campaign(f"c{label:03d}", CampaignSettings(), heat, drift=Drift(own.t_s, error_um)))
+    machine = Machine(name="synthetic", axes=(), sensors=tuple(Sensor(id=name, role="structure") for name in SENSORS))
+    return MachineFolder(machine, tuple(made))
+
+
+def with_history_fallbacks(folder: MachineFolder) -> HistoryAxis:
+    separations, names = separate_folder(folder), [campaign.name for campaign in folder.campaigns]
+    (states,) = axis_states(folder, separations, names)
+    return with_fallbacks(folder, separations, names, states, calibrated_history(states))
 
 
 def test_a_sensor_is_lost_in_the_middle_of_a_shift() -> None:

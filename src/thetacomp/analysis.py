@@ -13,6 +13,7 @@ from thetacomp.keypoints.states import correlation_tables, parameter_table
 from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
 from thetacomp.models.build import build_document
 from thetacomp.models.document import HistoryAxis
+from thetacomp.models.fallbacks import AxisFallback, axis_fallbacks
 from thetacomp.models.history_model import MIN_CAMPAIGNS
 from thetacomp.models.procedures import key_point_procedure, paper_procedure
 from thetacomp.screening import fit_screening, screen
@@ -24,6 +25,7 @@ from thetacomp.temperature.layout import layout_checks
 from thetacomp.validation.acceptance import KEY_POINTS, acceptance_checks, acceptance_of_static_law, in_words
 from thetacomp.validation.calibrated import calibrated_history
 from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test
+from thetacomp.validation.lost_sensors import with_fallbacks
 from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, held_out_states, rows_of
@@ -70,7 +72,9 @@ def analyze_folder(
     fitted = _fit(training, procedure)
     fitted_paper = _fit_where_possible(training, paper)
     notes = _notes(campaigns, separations) + _dropped_notes(separations, everything) + findings
-    model = build_document(folder, fitted, METHOD, train, notes, history=_fit_history(everything, training, test))
+    history = _fit_history(folder, separations, train, everything, training, test)
+    progress("making fallbacks for lost sensors")
+    model = build_document(folder, fitted, METHOD, train, notes, _fallbacks(fitted, procedure), history)
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
 
     progress("validating on held-out data")
@@ -144,11 +148,29 @@ def _fit(training: Sequence[AxisStates], procedure: Procedure) -> list[tuple[Axi
 
 
 def _fit_history(
-    everything: Sequence[AxisStates], training: Sequence[AxisStates], test: Sequence[str]
+    folder: MachineFolder,
+    separations: Sequence[ComponentSeparation],
+    train: Sequence[str],
+    everything: Sequence[AxisStates],
+    training: Sequence[AxisStates],
+    test: Sequence[str],
 ) -> tuple[HistoryAxis, ...]:
     """Models on heat history for the axes that have enough campaigns to choose everything inside and to hold out."""
-    own = {states.axis: states for states in training}
-    return tuple(calibrated_history(own[s.axis]).document for s in everything if _has_history(s, _main_folds(s, test)))
+    enough = {s.axis for s in everything if _has_history(s, _main_folds(s, test))}
+    return tuple(
+        with_fallbacks(folder, separations, train, states, calibrated_history(states))
+        for states in training
+        if states.axis in enough
+    )
+
+
+def _fallbacks(fitted: Sequence[tuple[AxisStates, AxisModel]], procedure: Procedure) -> tuple[AxisFallback, ...]:
+    """The law on key temperatures again without each of its sensors, judged by the training states alone."""
+    made: list[AxisFallback] = []
+    for states, model in fitted:
+        folds = [(fold.train, fold.test) for fold in hold_out(states)[1]]
+        made += axis_fallbacks(states, model, procedure, folds)
+    return tuple(made)
 
 
 def _has_history(states: AxisStates, folds: Sequence[Fold]) -> bool:

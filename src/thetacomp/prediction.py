@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from thetacomp.campaign import CARTESIAN, Duty, Floats, Temperatures
 from thetacomp.compensation.domain import Limit, history_limits, limits
 from thetacomp.compensation.law import Law, laws
+from thetacomp.compensation.switch import degraded
 from thetacomp.errors import AnalysisError
-from thetacomp.models.document import Component, HistoryAxis, ModelDocument
+from thetacomp.models.document import Accuracy, Component, HistoryAxis, ModelDocument
 from thetacomp.models.history_law import HistoryLaw, HistoryMoments, check_history
 from thetacomp.temperature.track import recorded_inputs
 
@@ -60,7 +61,8 @@ class Prediction:
 
     `error_um`, `lower_um` and `upper_um` are (n, 3) along machine X, Y, Z; NaN where the model has no such component,
     where a temperature is missing, or (bounds only) where the fit had no degree of freedom. `in_domain` is (n,);
-    `missing` (n,) marks rows without a temperature; `breaches` tells why rows lie outside.
+    `missing` (n,) marks rows without a temperature; `breaches` tells why rows lie outside. `replaced` names the
+    components that came from a fallback because the table lacks a sensor, with the accuracy of it.
     """
 
     t_s: Floats
@@ -72,6 +74,7 @@ class Prediction:
     in_domain: Bools
     missing: Bools
     breaches: tuple[Breach, ...]
+    replaced: dict[str, Accuracy | None] = field(default_factory=dict)
 
 
 def data_row(i: int) -> str:
@@ -97,6 +100,7 @@ def predict(
     the model needs it. `place` names row i of the positions in messages. Raises AnalysisError where the model cannot
     answer.
     """
+    model, replaced = _without_missing(model, temperatures, positions)
     wanted = {name: c for name, c in model.components.items() if _asked_for(c, positions)}
     _check_axes(model, positions, wanted, place)
     _check_times(temperatures, positions, place)
@@ -107,7 +111,24 @@ def predict(
         if name in model.history:
             check_history(name, model.history[name])
             _predict_history(model.history[name], temperatures, duty, reference, table)
-    return table.prediction()
+    return table.prediction(replaced)
+
+
+def _without_missing(
+    model: ModelDocument, temperatures: Temperatures, positions: PositionTable
+) -> tuple[ModelDocument, dict[str, Accuracy | None]]:
+    """The model for the sensors that the table has; as it is where no fallback covers what is missing."""
+    asked = set(positions.axis)
+    needed = {s for c in model.components.values() if (c.axis or "") in asked - set(model.history) for s in c.inputs}
+    needed |= {s for key, axis in model.history.items() if key in asked for s in axis.layout.sensors}
+    missing = needed - set(temperatures.sensor_ids)
+    if not missing:
+        return model, {}
+    rest = degraded(model, missing)
+    if any((model.components[name].axis or "") in asked for name in rest.ended):
+        return model, {}
+    names = {name for name, c in model.components.items() if (c.axis or "") in asked}
+    return rest.model, {name: accuracy for name, accuracy in rest.replaced.items() if name in names}
 
 
 class _Table:
@@ -131,7 +152,7 @@ class _Table:
             self.domain[rows] &= one.inside
             self.seen.append((rows, one))
 
-    def prediction(self) -> Prediction:
+    def prediction(self, replaced: dict[str, Accuracy | None]) -> Prediction:
         """The finished table: a row without an input has no values."""
         lower_um, upper_um = self.error_um - self.half_um, self.error_um + self.half_um
         for values in (self.error_um, lower_um, upper_um):
@@ -146,6 +167,7 @@ class _Table:
             in_domain=self.domain,
             missing=self.missing,
             breaches=_breaches(self.seen),
+            replaced=replaced,
         )
 
 

@@ -158,6 +158,13 @@ def _outcome(
     unpredicted = [name for name, c in asked.items() if not c.inputs and (c.axis or "") not in model.history]
     history = sorted({c.axis or "drift" for c in asked.values() if (c.axis or "") in model.history})
     lines = [f"{_rows(rows)} written to {out}", f"  reference: {reference}"]
+    for name, accuracy in prediction.replaced.items():
+        told = (
+            f" (held-out RMS {accuracy.without_rms_um:.1f} instead of {accuracy.full_rms_um:.1f} µm)"
+            if accuracy
+            else ""
+        )
+        lines.append(f"  {name}: the table lacks a sensor, its fallback was used{told}")
     if history:
         lines.append(
             f"  heat history for {', '.join(history)}: the filters start at rest on the first row of the temperatures;"
@@ -190,6 +197,7 @@ def _outcome(
         "missing_temperature": missing,
         "unpredicted": unpredicted,
         "heat_history": history,
+        "fallbacks": sorted(prediction.replaced),
         "largest": largest,
         "sign": model.sign,
         "failed_checks": list(model.failed_checks),

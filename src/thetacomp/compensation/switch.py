@@ -10,7 +10,8 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from thetacomp.models.document import Component, ModelDocument
+from thetacomp.models.document import Accuracy, Component, HistoryAxis, ModelDocument
+from thetacomp.models.history_law import without_sensor
 
 DECAY_S = 4 * 3600.0
 
@@ -46,21 +47,26 @@ def switch(t_s: float, output: Sequence[float], model: Sequence[float], decay_s:
 
 @dataclass(frozen=True)
 class Degraded:
-    """A model for the sensors that are left, and the components that nothing is ready for."""
+    """A model for the sensors that are left, and the components that nothing is ready for.
+
+    `replaced` names the components that changed, each with its held-out accuracy where that was measured.
+    """
 
     model: ModelDocument
-    replaced: tuple[str, ...]
+    replaced: dict[str, Accuracy | None]
     ended: tuple[str, ...]
 
 
 def degraded(model: ModelDocument, lost: Collection[str]) -> Degraded:
     """The model without the lost sensors: every component that uses one comes from a fallback that uses none.
 
-    Where several fallbacks could serve, the one with the smallest held-out error is taken. A component without any is
-    left out and named in `ended`: its compensation ends, the others go on.
+    An axis with heat history goes on with its own fallback where one sensor is lost, else with the law on key
+    temperatures. Where several fallbacks could serve, the one with the smallest held-out error is taken. A component
+    without any is left out and named in `ended`: its compensation ends, the others go on.
     """
+    history, replaced = _without(model, lost)
     components: dict[str, Component] = {}
-    replaced, ended = [], []
+    ended = []
     for name, component in model.components.items():
         if not set(lost) & set(component.inputs):
             components[name] = component
@@ -69,7 +75,29 @@ def degraded(model: ModelDocument, lost: Collection[str]) -> Degraded:
         if ready:
             best = min(ready, key=lambda fallback: fallback.accuracy[name].without_rms_um)
             components[name] = best.components[name]
-            replaced.append(name)
+            if (component.axis or "") not in history:
+                replaced[name] = best.accuracy[name]
+        elif (component.axis or "") in history:
+            components[name] = component
         else:
             ended.append(name)
-    return Degraded(model.model_copy(update={"components": components}), tuple(replaced), tuple(ended))
+    left = {"components": components, "history": history}
+    return Degraded(model.model_copy(update=left), replaced, tuple(ended))
+
+
+def _without(model: ModelDocument, lost: Collection[str]) -> tuple[dict[str, HistoryAxis], dict[str, Accuracy | None]]:
+    """The axes that go on with heat history, and the components that changed."""
+    history: dict[str, HistoryAxis] = {}
+    replaced: dict[str, Accuracy | None] = {}
+    for key, axis in model.history.items():
+        gone = [sensor for sensor in axis.layout.sensors if sensor in lost]
+        if not gone:
+            history[key] = axis
+            continue
+        rest = without_sensor(axis, gone[0]) if len(gone) == 1 else None
+        if rest is not None:
+            history[key] = rest
+            replaced |= next(fallback for fallback in axis.fallbacks if fallback.lost == gone[0]).accuracy
+        else:
+            replaced |= dict.fromkeys(axis.components)
+    return history, replaced

@@ -115,11 +115,17 @@ class HistoryComponent(Strict):
 
 
 class HistoryFallback(Strict):
-    """The model of an axis for the day on which the sensor `lost` is lost, with its accuracy by component."""
+    """What changes in the model of an axis on the day on which the sensor `lost` is lost.
+
+    `layout` is that of the other sensors, `reference_inputs` its inputs at the reference; `components` are fitted on
+    it by the same procedure, their bands widened by what the loss costs. `accuracy` has one entry a component.
+    """
 
     lost: str
+    layout: HistoryLayout
+    reference_inputs: tuple[float, ...]
+    components: dict[str, HistoryComponent]
     accuracy: dict[str, Accuracy]
-    axis: HistoryAxis
 
 
 class HistoryAxis(Strict):

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thetacomp.campaign import Floats, Ints
 from thetacomp.errors import AnalysisError
 from thetacomp.models.axis_model import ELAPSED_TIME, AxisModel, Procedure
 from thetacomp.models.document import Accuracy
-from thetacomp.models.ridge import Candidate, HistoryRidge, history_candidates
 from thetacomp.states import AxisStates
-from thetacomp.temperature.history import HistoryLayout
 
 Split = tuple[Ints, Ints]
 """Rows that train and rows that test."""
@@ -31,20 +27,10 @@ class AxisFallback:
     accuracy: Mapping[str, Accuracy]
 
 
-@dataclass(frozen=True)
-class HistoryFallback:
-    """The model with heat history without the sensor `lost`, and the layout of its inputs."""
-
-    lost: str
-    layout: HistoryLayout
-    model: HistoryRidge
-    accuracy: Accuracy
-
-
 def states_without(states: AxisStates, sensor: str) -> AxisStates:
     """The same states and samples without one sensor.
 
-    Heat history is left out: its products hold the mean rise of all sensors. `history_fallbacks` makes it anew.
+    Heat history is left out: its products hold the mean rise of all sensors.
     """
     column = states.sensors.index(sensor)
     return replace(
@@ -84,49 +70,10 @@ def axis_fallbacks(
         except AnalysisError:
             continue
         accuracy = {
-            name: _accuracy(states.samples[k].value_um, full_um[k], without_um[k])
+            name: accuracy_of(states.samples[k].value_um, full_um[k], without_um[k])
             for k, name in enumerate(states.components)
         }
         out.append(AxisFallback(lost, rest, fallback, accuracy))
-    return tuple(out)
-
-
-def history_fallbacks(
-    layout: HistoryLayout,
-    inputs_of: Callable[[HistoryLayout], Floats],
-    error_um: Floats,
-    campaign: NDArray[Any],
-    folds: int,
-    candidates_of: Callable[[HistoryLayout], tuple[Candidate, ...]] = history_candidates,
-) -> tuple[HistoryFallback, ...]:
-    """A fallback for every sensor of a layout with heat history.
-
-    `inputs_of` gives the inputs (n, inputs) that a layout makes of the training recordings, `error_um` (n,) the errors
-    and `campaign` (n,) their campaigns, which are held out in `folds` groups.
-    Raises AnalysisError for a layout of one sensor, or as `HistoryRidge.fit` does.
-    """
-    if len(layout.sensors) < 2:
-        raise AnalysisError("a model with one sensor has no fallback. Fix: keep at least two sensors in the model.")
-
-    def fit(used: HistoryLayout, inputs: Floats, rows: Ints) -> HistoryRidge:
-        return HistoryRidge(used.blocks, candidates_of(used)).fit(inputs[rows], error_um[rows], campaign[rows])
-
-    def held_out_um(used: HistoryLayout, inputs: Floats) -> Floats:
-        predicted = np.empty(len(error_um))
-        for train, test in splits:
-            predicted[test] = fit(used, inputs, train).predict(inputs[test])
-        return predicted
-
-    labels, index = np.unique(campaign, return_inverse=True)
-    fold_of = (np.arange(len(labels)) % folds)[index]
-    splits = [(np.flatnonzero(fold_of != fold), np.flatnonzero(fold_of == fold)) for fold in np.unique(fold_of)]
-    full_um = held_out_um(layout, inputs_of(layout))
-    out = []
-    for lost in layout.sensors:
-        rest = layout.model_copy(update={"sensors": tuple(name for name in layout.sensors if name != lost)})
-        inputs = inputs_of(rest)
-        accuracy = _accuracy(error_um, full_um, held_out_um(rest, inputs))
-        out.append(HistoryFallback(lost, rest, fit(rest, inputs, np.arange(len(error_um))), accuracy))
     return tuple(out)
 
 
@@ -141,7 +88,8 @@ def _held_out_um(states: AxisStates, procedure: Procedure, folds: Sequence[Split
     return out
 
 
-def _accuracy(measured_um: Floats, full_um: Floats, without_um: Floats) -> Accuracy:
+def accuracy_of(measured_um: Floats, full_um: Floats, without_um: Floats) -> Accuracy:
+    """Held-out RMS errors of n samples with and without a sensor, where both predict. AnalysisError where none does."""
     known = np.isfinite(full_um) & np.isfinite(without_um) & np.isfinite(measured_um)
     if not known.any():
         raise AnalysisError("no held-out sample is predicted with and without the sensor.")

@@ -5,7 +5,8 @@ Numpy only. Inside the border of validity the model speaks alone, outside it fad
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +15,7 @@ from thetacomp.campaign import Floats
 from thetacomp.errors import ModelFileError
 from thetacomp.models.document import HistoryAxis, HistoryComponent
 from thetacomp.models.fade import faded_um, model_weight
+from thetacomp.models.reach import Reach
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,46 @@ class HistoryLaw:
         weight = model_weight(self.distance)
         rise_K = self.moments.moved[:, : len(prior)]
         return faded_um(self.moments.moved @ np.array(model), rise_K @ np.array(prior), weight)
+
+
+def without_sensor(axis: HistoryAxis, lost: str) -> HistoryAxis | None:
+    """The model of an axis without one of its sensors, from its fallback; None where there is no such fallback.
+
+    Reach and border are those of the full model, seen in the inputs that are left.
+    """
+    ready = next((fallback for fallback in axis.fallbacks if fallback.lost == lost), None)
+    if ready is None:
+        return None
+    sensors = axis.layout.sensors
+    inputs = [name for block in axis.layout.blocks.values() for name in block]
+    left = {name for block in ready.layout.blocks.values() for name in block}
+    kept = [j for j, name in enumerate(inputs) if name in left]
+    kept_border = kept + [len(inputs) + j for j, name in enumerate(sensors) if name != lost]
+    validity = replace(
+        axis.validity,
+        reach=_of_inputs(axis.validity.reach, kept_border),
+        middle=tuple(axis.validity.middle[j] for j in kept_border),
+        half_span=tuple(axis.validity.half_span[j] for j in kept_border),
+    )
+    return axis.model_copy(
+        update={
+            "layout": ready.layout,
+            "reference": axis.reference.model_copy(update={"inputs": ready.reference_inputs}),
+            "reach": _of_inputs(axis.reach, kept),
+            "validity": validity,
+            "components": ready.components,
+            "fallbacks": (),
+        }
+    )
+
+
+def _of_inputs(reach: Reach, kept: Sequence[int]) -> Reach:
+    return replace(
+        reach,
+        centre=tuple(reach.centre[j] for j in kept),
+        scale=tuple(reach.scale[j] for j in kept),
+        directions=tuple(tuple(direction[j] for j in kept) for direction in reach.directions),
+    )
 
 
 def check_history(name: str, axis: HistoryAxis) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +22,19 @@ from thetacomp.validation.conformal import HeldOut, calibrate_band, held_out_lev
 
 @dataclass(frozen=True)
 class CalibratedHistory:
-    """The stored form of a heat-history model as a Predictor: what validation judges is what the machine gets."""
+    """The stored form of a heat-history model as a Predictor: what validation judges is what the machine gets.
+
+    `left_out_um` holds for every component its samples (n,) as predicted by the models that left out their campaign,
+    NaN where an input is missing.
+    """
 
     document: HistoryAxis
+    left_out_um: Mapping[str, Floats]
+
+    @property
+    def components(self) -> Mapping[str, HistoryComponent]:
+        """The components of the document."""
+        return self.document.components
 
     def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
         """Thermal error of samples in µm and the half width of its 95 % band, both (n,)."""
@@ -61,11 +72,12 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
         campaigns=len(np.unique(campaign)),
         candidates=len(model.ridge.candidates),
     )
-    components = {name: _component(states, model, k, document) for k, name in enumerate(states.components)}
-    return CalibratedHistory(document.model_copy(update={"components": components}))
+    left_out_um = {name: _left_out_um(states, model, k) for k, name in enumerate(states.components)}
+    components = {name: _component(states, model, k, left_out_um[name]) for k, name in enumerate(states.components)}
+    return CalibratedHistory(document.model_copy(update={"components": components}), left_out_um)
 
 
-def _component(states: AxisStates, model: HistoryModel, k: int, document: HistoryAxis) -> HistoryComponent:
+def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Floats) -> HistoryComponent:
     name, count = states.components[k], len(states.components)
     rise_K = states.history[:, : len(model.layout.sensors)]
     intercept_prior = _prior(model.layout, rise_K, states.intercept_um[:, k], states)
@@ -73,7 +85,6 @@ def _component(states: AxisStates, model: HistoryModel, k: int, document: Histor
     if not states.is_drift:
         slope = _plain(model.ridge.coef_[count + k])
         slope_prior = _prior(model.layout, rise_K, states.slope_um_per_m[:, k], states)
-    rows = _left_out(states, model, k)
     samples = states.samples[k]
     samples = samples.take(_complete(samples))
     in_sample_um = samples.value_um - model.predict(name, states, samples)[0]
@@ -84,30 +95,35 @@ def _component(states: AxisStates, model: HistoryModel, k: int, document: Histor
             "slope_um_per_m": slope,
             "prior_intercept_um_per_K": intercept_prior,
             "prior_slope_um_per_m_per_K": slope_prior,
-            "band": calibrate_band(rows),
+            "band": calibrate_band(_held_out(states, k, left_out_um)),
             "residual_um": (float(np.sqrt(np.mean(in_sample_um**2))), float(np.abs(in_sample_um).max())),
         }
     )
 
 
-def _left_out(states: AxisStates, model: HistoryModel, k: int) -> HeldOut:
-    """Samples of one component against the models that left out their campaign."""
+def _left_out_um(states: AxisStates, model: HistoryModel, k: int) -> Floats:
+    """Samples of one component (n,) as predicted by the models that left out their campaign."""
+    samples = states.samples[k]
+    campaign = np.searchsorted(model.ridge.groups_, states.campaign[samples.state])
+    coefficients = model.ridge.left_out_coef_[np.minimum(campaign, len(model.ridge.groups_) - 1)]
+    predicted_um: Floats = np.einsum("ij,ij->i", samples.history, coefficients[:, k])
+    if not states.is_drift:
+        slope = np.einsum("ij,ij->i", samples.history, coefficients[:, len(states.components) + k])
+        predicted_um = predicted_um + slope * samples.lever_m
+    return predicted_um
+
+
+def _held_out(states: AxisStates, k: int, left_out_um: Floats) -> HeldOut:
+    """What a band is calibrated on: samples of heated states whose inputs are all there."""
     samples = states.samples[k]
     judged = _complete(samples)
     if states.exact_zero:
         judged = judged & ~states.cold[samples.state]
-    samples = samples.take(judged)
-    if not len(samples.value_um):
+    if not judged.any():
         raise AnalysisError(f"{states.components[k]}: no sample of a heated state to calibrate a band on.")
-    campaign = states.campaign[samples.state]
-    index = np.searchsorted(model.ridge.groups_, campaign)
-    coefficients = model.ridge.left_out_coef_[index]
-    predicted_um = np.einsum("ij,ij->i", samples.history, coefficients[:, k])
-    if not states.is_drift:
-        slope = np.einsum("ij,ij->i", samples.history, coefficients[:, len(states.components) + k])
-        predicted_um = predicted_um + slope * samples.lever_m
-    leverage = held_out_leverage(samples.history, campaign)
-    return HeldOut(samples.value_um - predicted_um, leverage, campaign)
+    own = samples.take(judged)
+    campaign = states.campaign[own.state]
+    return HeldOut(own.value_um - left_out_um[judged], held_out_leverage(own.history, campaign), campaign)
 
 
 def _prior(layout: HistoryLayout, rise_K: Floats, target: Floats, states: AxisStates) -> tuple[float, ...]:
