@@ -159,12 +159,10 @@ def _outcome(
     history = sorted({c.axis or "drift" for c in asked.values() if (c.axis or "") in model.history})
     lines = [f"{_rows(rows)} written to {out}", f"  reference: {reference}"]
     for name, accuracy in prediction.replaced.items():
-        told = (
-            f" (held-out RMS {accuracy.without_rms_um:.1f} instead of {accuracy.full_rms_um:.1f} µm)"
-            if accuracy
-            else ""
+        cost = (
+            f": {accuracy.without_rms_um:.1f} instead of {accuracy.full_rms_um:.1f} µm RMS held out" if accuracy else ""
         )
-        lines.append(f"  {name}: the table lacks a sensor, its fallback was used{told}")
+        lines.append(f"  {name}: the table lacks a sensor, the fallback was used{cost}")
     if history:
         lines.append(
             f"  heat history for {', '.join(history)}: the filters start at rest on the first row of the temperatures;"
