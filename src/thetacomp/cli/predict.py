@@ -160,7 +160,7 @@ def _outcome(
     lines = [f"{_rows(rows)} written to {out}", f"  reference: {reference}"]
     for name, accuracy in prediction.replaced.items():
         cost = (
-            f": {accuracy.without_rms_um:.1f} instead of {accuracy.full_rms_um:.1f} µm RMS held out" if accuracy else ""
+            f": {accuracy.without_rms_um:.1f} instead of {accuracy.full_rms_um:.1f} µm RMS" if accuracy else ""
         )
         lines.append(f"  {name}: the table lacks a sensor, the fallback was used{cost}")
     if history:
