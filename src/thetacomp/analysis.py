@@ -8,6 +8,7 @@ import numpy as np
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.conditions import refuse_mixtures
 from thetacomp.errors import AnalysisError
 from thetacomp.keypoints.states import correlation_tables, parameter_table
 from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
@@ -45,15 +46,16 @@ def analyze_folder(
     train: Sequence[str] = (),
     test: Sequence[str] = (),
     progress: Progress = lambda message: None,
+    mix: bool = False,
 ) -> Analysis:
     """Run the whole analysis of a machine folder.
 
     `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
-    one line a step. Raises AnalysisError where the measurements cannot carry an analysis.
+    one line a step. `mix` allows campaigns of different operating modes or active tables in one model. Raises AnalysisError where the measurements cannot carry an analysis.
     """
     train, test = _chosen(folder, train, test)
     campaigns = [folder.campaign(name) for name in (*train, *test)]
-    _refuse_mixtures(campaigns)
+    mixed = refuse_mixtures(campaigns, mix)
 
     progress("screening temperatures")
     findings = _screening_notes(campaigns)
@@ -71,7 +73,7 @@ def analyze_folder(
     procedure, paper = key_point_procedure(folder.machine), paper_procedure(folder.machine)
     fitted = _fit(training, procedure)
     fitted_paper = _fit_where_possible(training, paper)
-    notes = _notes(campaigns, separations) + _dropped_notes(separations, everything) + findings
+    notes = mixed + _notes(campaigns, separations) + _dropped_notes(separations, everything) + findings
     history = _fit_history(folder, separations, train, everything, training, test)
     progress("making fallbacks for lost sensors")
     model = build_document(folder, fitted, METHOD, train, notes, _fallbacks(fitted, procedure), history)
@@ -124,23 +126,6 @@ def _chosen(folder: MachineFolder, train: Sequence[str], test: Sequence[str]) ->
     if not chosen:
         raise AnalysisError("no campaign is left for training. Fix: leave one out of --test.")
     return chosen, [name for name in known if name in set(test)]
-
-
-def _refuse_mixtures(campaigns: Sequence[Campaign]) -> None:
-    """Campaigns of different operating modes, or with compensation active, are not mixed unasked."""
-    modes = {campaign.name: campaign.settings.mode for campaign in campaigns}
-    if len(set(modes.values())) > 1:
-        listed = ", ".join(f"{name}: '{mode}'" for name, mode in modes.items())
-        raise AnalysisError(
-            f"the campaigns were measured in different operating modes ({listed}); a model of the mixture fits neither."
-            " Fix: choose campaigns of one mode with --train and --test, or correct `mode` in campaign.toml."
-        )
-    active = [c.name for c in campaigns if c.settings.compensation == "on"]
-    if active:
-        raise AnalysisError(
-            f"compensation was on in campaign {', '.join(active)}: a model of it would be a model of the remainder."
-            " Fix: leave it out with --train; use it in `thetacomp verify`."
-        )
 
 
 def _fit(training: Sequence[AxisStates], procedure: Procedure) -> list[tuple[AxisStates, AxisModel]]:

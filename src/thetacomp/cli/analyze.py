@@ -25,6 +25,9 @@ def analyze(
         list[str] | None,
         typer.Option("--test", help="Campaign to test on only; repeat for more. Default: each is held out in turn."),
     ] = None,
+    mix: Annotated[
+        bool, typer.Option("--mix", help="Let campaigns of different modes or active tables share one model.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Separate, choose key points, fit, validate; write model.json, tables, figures and report.html."""
@@ -40,7 +43,7 @@ def analyze(
                 typer.echo(f"… {message}", err=True)
 
         progress("reading")
-        analysis = analyze_folder(read_folder(folder), train or (), test or (), progress)
+        analysis = analyze_folder(read_folder(folder), train or (), test or (), progress, mix)
         paths = write_tables(analysis, out)
         progress("drawing")
         paths += write_report(analysis, out)

@@ -159,9 +159,7 @@ def _outcome(
     history = sorted({c.axis or "drift" for c in asked.values() if (c.axis or "") in model.history})
     lines = [f"{_rows(rows)} written to {out}", f"  reference: {reference}"]
     for name, accuracy in prediction.replaced.items():
-        cost = (
-            f": {accuracy.without_rms_um:.1f} instead of {accuracy.full_rms_um:.1f} µm RMS" if accuracy else ""
-        )
+        cost = f": {accuracy.without_rms_um:.1f} instead of {accuracy.full_rms_um:.1f} µm RMS" if accuracy else ""
         lines.append(f"  {name}: the table lacks a sensor, the fallback was used{cost}")
     if history:
         lines.append(
