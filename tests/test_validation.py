@@ -161,7 +161,7 @@ def test_train_and_test_choose_campaigns() -> None:
 
 def test_modes_and_compensated_campaigns_are_not_mixed_unasked() -> None:
     cold, cooled = _campaign("off", 0, mode="no cooling"), _campaign("on", 1, mode="cooling")
-    with pytest.raises(AnalysisError, match=r"different operating modes .*off: 'no cooling', on: 'cooling'"):
+    with pytest.raises(AnalysisError, match=r"different operating modes \(off: 'no cooling', on: 'cooling'"):
         analyze_folder(MachineFolder(MACHINE, (cold, cooled)))
     analyze_folder(MachineFolder(MACHINE, (cold, cooled)), train=["off"])
     active = _campaign("active", 1, compensation="on")

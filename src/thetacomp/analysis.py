@@ -51,7 +51,8 @@ def analyze_folder(
     """Run the whole analysis of a machine folder.
 
     `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
-    one line a step. `mix` allows campaigns of different operating modes or active tables in one model. Raises AnalysisError where the measurements cannot carry an analysis.
+    one line a step. `mix` allows campaigns of different operating modes or active tables in one model. Raises
+    AnalysisError where the measurements cannot carry an analysis.
     """
     train, test = _chosen(folder, train, test)
     campaigns = [folder.campaign(name) for name in (*train, *test)]

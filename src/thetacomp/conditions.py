@@ -43,7 +43,7 @@ def refuse_mixtures(campaigns: Sequence[Campaign], mix: bool = False) -> tuple[s
                 f" Fix: choose campaigns of one kind with --train and --test, correct `{key}` in campaign.toml,"
                 " or ask for the mixture with --mix."
             )
-        notes.append(f"campaigns with different {what} were mixed as asked ({listed}): the model may fit neither")
+        notes.append(f"campaigns with different {what} ({listed}) were mixed as asked: the model may fit neither")
     return tuple(notes)
 
 
