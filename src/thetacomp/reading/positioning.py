@@ -37,7 +37,8 @@ def read_positioning(path: Path) -> tuple[Readings, ...]:
         _filled(table, problems)
         _plausible(table, problems)
     problems.raise_errors()
-    assert table is not None and direction is not None
+    assert table is not None
+    assert direction is not None
     t_s = table.t_s(table.clock.first_micros if table.clock else 0) if "t_s" in table.matched.columns else None
     names = np.array(table.texts["axis"])
     found = []

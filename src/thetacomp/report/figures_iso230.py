@@ -12,8 +12,9 @@ from thetacomp.machine import Machine
 from thetacomp.report import style
 from thetacomp.report.figures_temperature import draw_temperatures, mark_heat
 from thetacomp.report.style import HOUR_S
+from thetacomp.standards.conditions import moving
 from thetacomp.standards.iso230_2 import Positioning
-from thetacomp.standards.iso230_3 import FIRST_S, Series, ThermalTest, moving
+from thetacomp.standards.iso230_3 import FIRST_S, Series, ThermalTest
 
 _TEMPERATURE_IN = 2.5
 _COLORED = 3
@@ -43,7 +44,9 @@ def positioning_figure(name: str, result: Positioning) -> style.NamedFigure:
     axes.set_ylabel("deviation (µm)")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=3)
     bands = "Bands: mean ± 2 s; points: single readings. " if np.isfinite(targets.s_up_um).all() else ""
-    caption = f"Deviation = actual \N{MINUS SIGN} target along the axis. {bands}Dotted: the range that gives the figure."
+    caption = (
+        f"Deviation = actual \N{MINUS SIGN} target along the axis. {bands}Dotted: the range that gives the figure."
+    )
     return style.NamedFigure(name, "iso230", f"Deviations of axis {runs.axis}", caption, figure)
 
 
@@ -87,8 +90,9 @@ def thermal_figure(name: str, test: ThermalTest, campaign: Campaign, machine: Ma
     lowest.set_ylabel("temperature (°C)")
     lowest.set_xlabel("time since the start of the campaign (h)")
     caption = (
-        "Displacements less their first reading; dashed: start, first 60 min and end of the period that the figures hold"
-        f" for. In colour: {_colored_words(machine, colors)}." + (" Shaded: the machine was running." if heated else "")
+        "Displacements less their first reading; dashed: start, first 60 min and end of the period that the figures"
+        f" hold for. In colour: {_colored_words(machine, colors)}."
+        + (" Shaded: the machine was running." if heated else "")
     )
     return style.NamedFigure(name, "iso230", "Displacements and temperatures", caption, figure)
 

@@ -86,7 +86,8 @@ def _write_page(name: str, test: Evaluated, machine: Machine | None, out: Path) 
         figure = positioning_figure(name, result)
         grids = _positioning_grids(result, test.instrument)
     else:
-        assert test.campaign is not None and machine is not None
+        assert test.campaign is not None
+        assert machine is not None
         figure = thermal_figure(name, result, test.campaign, machine)
         grids = (_thermal_grid(result),)
     files = render(figure)
@@ -141,7 +142,12 @@ def _positioning_grids(result: Positioning, instrument: Instrument) -> tuple[Gri
     values = {symbol: getattr(result.figures, name) for symbol, name, _ in AXIS_SYMBOLS}
     digits = digits_for(list(values.values()))
     lines = [
-        (_symbol(symbol), meaning.replace(" -", " \N{MINUS SIGN}"), number(values[symbol], digits), _u(axis_u_um(symbol, result, instrument), digits))
+        (
+            _symbol(symbol),
+            meaning.replace(" -", " \N{MINUS SIGN}"),
+            number(values[symbol], digits),
+            _u(axis_u_um(symbol, result, instrument), digits),
+        )
         for symbol, _, meaning in AXIS_SYMBOLS
         if math.isfinite(values[symbol])
     ]
@@ -184,7 +190,7 @@ def _conditions(test: Evaluated) -> list[str]:
         runs = result.runs
         words.append(
             f"{len(runs.target_mm)} targets from {runs.target_mm[0]:g} to {runs.target_mm[-1]:g} mm, {runs.count}"
-            f" run{'s' if runs.count > 1 else ''} in each direction. Deviations are taken as read: no correction to 20 °C."
+            f" run{'s' if runs.count > 1 else ''} in each direction. Deviations as read: no correction to 20 °C."
         )
         if math.isfinite(result.run_drift_um):
             words.append(f"Change from the first run to the last, mean of all targets: {result.run_drift_um:.2f} µm.")

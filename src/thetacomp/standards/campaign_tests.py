@@ -73,7 +73,7 @@ def campaign_positioning(campaign: Campaign, axis: Axis) -> Positioning:
     if points.run is None or not points.direction_given:
         lacking = "run" if points.run is None else "direction"
         raise AnalysisError(
-            f"axis {axis.name}: sweeps.csv does not state the {lacking} of every point, and it must not be guessed here."
+            f"axis {axis.name}: sweeps.csv does not state the {lacking} of every point, and it is not guessed here."
             " Fix: fill in the columns `run` and `direction`."
         )
     along = CARTESIAN.index(axis.cartesian)

@@ -175,8 +175,8 @@ def arranged(readings: Readings) -> Runs:
         _refuse(axis, faults)
     if len(names[0]) != len(names[1]):
         raise AnalysisError(
-            f"axis {axis}: {len(names[0])} runs with approach +, {len(names[1])} with approach -; ISO 230-2 needs as many"
-            " in both directions. Fix: complete the runs, or leave the surplus ones out."
+            f"axis {axis}: {len(names[0])} runs with approach +, {len(names[1])} with approach -; ISO 230-2 needs as"
+            " many in both directions. Fix: complete the runs, or leave the surplus ones out."
         )
     if len(target_mm) < TARGETS:
         raise AnalysisError(
@@ -233,7 +233,7 @@ def axis_figures(targets: Targets) -> AxisFigures:
 def _unique_targets(target_mm: Floats) -> Floats:
     """Target positions in rising order; readings within 1 µm belong to one target."""
     ordered = np.unique(target_mm)
-    return ordered[np.concatenate([[True], np.diff(ordered) > _SAME_TARGET_MM])]
+    return np.asarray(ordered[np.concatenate([[True], np.diff(ordered) > _SAME_TARGET_MM])])
 
 
 def _span_s(readings: Readings, used: Runs) -> tuple[float, float]:
@@ -270,9 +270,9 @@ def _remarks(runs: Runs, travel_mm: float | None) -> tuple[str, ...]:
     per_m = len(runs.target_mm) / (length / 1000.0)
     if length > LONG_AXIS_MM:
         remarks.append(
-            f"The targets span {length:g} mm, more than 2 m: the first run in each direction is evaluated, and neither s"
-            " nor R nor A, as ISO 230-2 rules for long axes. For these, measure five runs over an agreed section of at"
-            " most 2 m and put them into a table of their own."
+            f"The targets span {length:g} mm, more than 2 m: the first run in each direction is evaluated, and neither"
+            " s nor R nor A, as ISO 230-2 rules for long axes. For these, measure five runs over an agreed section of"
+            " at most 2 m and put them into a table of their own."
         )
     elif travel_mm is not None and travel_mm > LONG_AXIS_MM:
         remarks.append(

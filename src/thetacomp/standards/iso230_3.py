@@ -15,6 +15,7 @@ import numpy as np
 from thetacomp.campaign import CARTESIAN, Campaign, Drift, Floats, SweepPoints
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis
+from thetacomp.standards.conditions import all_motion, other_motion, speed_words, speeds, unsettled
 from thetacomp.standards.instrument import Instrument
 
 FIRST_S = 3600.0
@@ -24,6 +25,7 @@ STOP_S = 3600.0
 SHORTEST_REST_S = 3600.0
 DAY_S = 86400.0
 VISITS = 3
+LATE_S = 300.0
 ROTATIONS = ("A", "B", "C")
 
 Kind = Literal["etve", "spindle", "axis"]
@@ -100,7 +102,7 @@ def environmental_variation(campaign: Campaign) -> ThermalTest:
     end_s = min(float(drift.t_s[-1]), float(moving[0]) if len(moving) else np.inf)
     if end_s - start_s < SHORTEST_REST_S:
         raise AnalysisError(
-            f"the machine rests for {(end_s - start_s) / 60:.0f} min before it runs, expected an hour at the very least."
+            f"the machine rests for {(end_s - start_s) / 60:.0f} min before it runs, expected an hour at least."
             " Fix: log the drift of the resting machine over a day and a night."
         )
     series = _drift_series(drift, start_s, end_s, end_s)
@@ -116,7 +118,7 @@ def environmental_variation(campaign: Campaign) -> ThermalTest:
         end_s,
         _lines(series, start_s, end_s, Instrument.of(campaign.settings)),
         series,
-        (*remarks, *_unsettled(campaign, start_s)),
+        (*remarks, *unsettled(campaign, start_s)),
         _not_measured(drift),
     )
 
@@ -124,11 +126,12 @@ def environmental_variation(campaign: Campaign) -> ThermalTest:
 def spindle_distortion(campaign: Campaign) -> ThermalTest:
     """Thermal distortion by the spindle: from its first start out of rest, for 4 h or as long as it turns.
 
-    A standstill of up to 60 min belongs to the run. Zero is the last reading before the start. Raises AnalysisError
-    where the campaign has no drift log or spindle speed, or the spindle never starts from rest.
+    A standstill of up to 60 min belongs to the run. Zero is the last reading before the start, and the first of the
+    ranges. Raises AnalysisError where the campaign has no drift log or spindle speed, or the spindle never starts from
+    rest.
     """
     drift, _, _ = _drift_and_motion(campaign)
-    speed = _speeds(campaign, "_rpm")
+    speed = speeds(campaign, "_rpm")
     if speed is None:
         raise AnalysisError("duty.csv has no column ending in _rpm, so the spindle speed is not known.")
     t_s, rpm = speed
@@ -136,21 +139,21 @@ def spindle_distortion(campaign: Campaign) -> ThermalTest:
     zero_s = _zero_s(drift, start_s)
     end_s = min(stop_s, start_s + PERIOD_S, float(drift.t_s[-1]))
     series = _drift_series(drift, zero_s, end_s, float(drift.t_s[-1]))
-    remarks = [_speed_words(t_s, rpm, start_s, end_s)]
+    remarks = [speed_words(t_s, rpm, start_s, end_s)]
     if stop_s > start_s + PERIOD_S:
         remarks.append("The spindle turned for longer; the figures hold for the first 4 h.")
     elif end_s - start_s < PERIOD_S - 60.0:
         remarks.append(f"The spindle ran for {(end_s - start_s) / 3600:.1f} h, less than 4 h.")
-    remarks += _other_motion(campaign, start_s, end_s)
-    remarks += _settling(series, zero_s, end_s)
+    remarks += other_motion(campaign, start_s, end_s)
+    remarks += _settling(series, start_s, end_s)
     return ThermalTest(
         "spindle",
         "",
-        zero_s,
+        start_s,
         end_s,
-        _lines(series, zero_s, end_s, Instrument.of(campaign.settings)),
+        _lines(series, start_s, end_s, Instrument.of(campaign.settings)),
         series,
-        (*remarks, *_unsettled(campaign, start_s)),
+        (*remarks, *unsettled(campaign, start_s)),
         _not_measured(drift),
     )
 
@@ -159,8 +162,8 @@ def axis_distortion(campaign: Campaign, axis: Axis) -> ThermalTest:
     """Thermal distortion of a linear axis: two targets near its ends, visited again and again, for 4 h.
 
     ISO 230-3 covers 2 m: of a longer axis the widest pair of measured targets within 2 m nearest to the middle of the
-    travel is taken. Zero is the first visit. Raises AnalysisError where both targets were visited fewer than three
-    times.
+    travel is taken. Zero is the first visit; 60 min and 4 h count from there, a visit may come 5 min late. Raises
+    AnalysisError where the ends were visited fewer than three times.
     """
     points = campaign.sweeps
     if points is None or axis.name not in points.axis:
@@ -189,36 +192,18 @@ def axis_distortion(campaign: Campaign, axis: Axis) -> ThermalTest:
         axis.name,
         start_s,
         end_s,
-        _lines(series, start_s, end_s, Instrument.of(campaign.settings), high_mm - low_mm),
+        _visit_lines(series, Instrument.of(campaign.settings), high_mm - low_mm),
         series,
-        (*remarks, *_standing_apart(series), *_all_motion(campaign, start_s, end_s), *_unsettled(campaign, start_s)),
+        (*remarks, *_standing_apart(series), *all_motion(campaign, start_s, end_s), *unsettled(campaign, start_s)),
         _not_measured(points, "sweeps.csv"),
     )
-
-
-def moving(name: str) -> bool:
-    """Whether a column of duty.csv tells motion: speeds in rpm, feeds in mm/min."""
-    return name.endswith(("_rpm", "_mm_min"))
-
-
-def _speeds(campaign: Campaign, *endings: str) -> tuple[Floats, Floats] | None:
-    """Largest of the columns with these endings over time, with what an unbroken recording holds before."""
-    duty = campaign.duty
-    if duty is None or not (names := [name for name in duty.columns if name.endswith(endings)]):
-        return None
-    largest = np.max([np.abs(np.nan_to_num(duty.columns[name])) for name in names], axis=0)
-    earlier = campaign.before.duty if campaign.before is not None else None
-    if earlier is None or not all(name in earlier.columns for name in names):
-        return duty.t_s, largest
-    ahead = np.max([np.abs(np.nan_to_num(earlier.columns[name])) for name in names], axis=0)
-    return np.concatenate([earlier.t_s, duty.t_s]), np.concatenate([ahead, largest])
 
 
 def _drift_and_motion(campaign: Campaign) -> tuple[Drift, Floats, np.ndarray]:
     """The drift log, and when the machine moved; AnalysisError where one of the two is missing."""
     if campaign.drift is None:
         raise AnalysisError("there is no drift.csv.")
-    speed = _speeds(campaign, "_rpm", "_mm_min")
+    speed = speeds(campaign, "_rpm", "_mm_min")
     if speed is None:
         raise AnalysisError(
             "nothing says when the machine rested and when it ran. Fix: add duty.csv with spindle_rpm and feed_mm_min"
@@ -229,18 +214,15 @@ def _drift_and_motion(campaign: Campaign) -> tuple[Drift, Floats, np.ndarray]:
 
 def _first_run(t_s: Floats, runs: np.ndarray) -> tuple[float, float]:
     """When the spindle of this campaign first starts out of rest, and when it stops for more than STOP_S."""
-    starts = [i for i in np.flatnonzero(np.diff(runs.astype(int)) == 1) + 1 if t_s[i] >= 0.0]
+    starts = [int(i) for i in np.flatnonzero(np.diff(runs.astype(int)) == 1) + 1 if t_s[i] >= 0.0]
     if not starts:
         raise AnalysisError("the spindle never starts out of a recorded standstill.")
-    first = starts[0]
     turning = np.flatnonzero(runs)
-    turning = turning[turning >= first]
+    turning = turning[turning >= starts[0]]
     # A sample holds until the next one: the run ends at the sample after the last one that turned.
-    for here, after in zip(turning, [*turning[1:], None], strict=True):
-        stop_s = float(t_s[min(here + 1, len(t_s) - 1)])
-        if after is None or t_s[after] - stop_s > STOP_S:
-            return float(t_s[first]), stop_s
-    raise AssertionError("unreachable")
+    stop_s = t_s[np.minimum(turning + 1, len(t_s) - 1)]
+    pause_s = np.append(t_s[turning[1:]], np.inf) - stop_s
+    return float(t_s[starts[0]]), float(stop_s[int(np.argmax(pause_s > STOP_S))])
 
 
 def _zero_s(drift: Drift, start_s: float) -> float:
@@ -256,7 +238,7 @@ def _zero_s(drift: Drift, start_s: float) -> float:
 
 
 def _drift_series(drift: Drift, zero_s: float, zero_until_s: float, last_s: float) -> tuple[Series, ...]:
-    """Measured directions from `zero_s` to `last_s`, less the first reading; those without two readings are left out."""
+    """Measured directions from `zero_s` to `last_s`, less the first reading; less than two readings are left out."""
     inside = (drift.t_s >= zero_s) & (drift.t_s <= last_s)
     return _measured(drift.t_s[inside], _columns(drift.error_um, drift.rotation_urad, inside), "", zero_until_s)
 
@@ -282,19 +264,16 @@ def _measured(
 
 def _end_targets(points: SweepPoints, mine: np.ndarray, axis: Axis) -> tuple[float, float]:
     """The widest pair of targets within 2 m; of equally wide ones that nearest to the middle of the travel."""
-    targets = np.unique(np.round(points.position_mm[mine], 3))
-    middle = sum(axis.travel_mm) / 2
+    targets: list[float] = np.unique(np.round(points.position_mm[mine], 3)).tolist()
+    middle = float(sum(axis.travel_mm)) / 2
     pairs = [(low, high) for i, low in enumerate(targets) for high in targets[i + 1 :]]
     allowed = [pair for pair in pairs if pair[1] - pair[0] <= LONGEST_LINEAR_MM + 0.5]
     if not allowed:
         raise AnalysisError(f"axis {axis.name}: no two measured targets lie within 2 m of each other.")
-    low, high = max(allowed, key=lambda p: (round(p[1] - p[0]), -abs((p[0] + p[1]) / 2 - middle)))
-    return float(low), float(high)
+    return max(allowed, key=lambda p: (round(p[1] - p[0]), -abs((p[0] + p[1]) / 2 - middle)))
 
 
-def _visits(
-    points: SweepPoints, mine: np.ndarray, axis: Axis, ends_mm: tuple[float, float]
-) -> tuple[Series, ...]:
+def _visits(points: SweepPoints, mine: np.ndarray, axis: Axis, ends_mm: tuple[float, float]) -> tuple[Series, ...]:
     """Displacements at both ends visit by visit, and the growth of the length between them, by approach."""
     found: list[Series] = []
     growth: list[Series] = []
@@ -306,9 +285,7 @@ def _visits(
             continue
         for end, visit in zip(ends_mm, rows, strict=True):
             place = f"{end:g} mm" + (f", approach {sign}" if sign else "")
-            found += _measured(
-                points.t_s[visit], _columns(points.error_um, points.rotation_urad, visit), place, np.inf
-            )
+            found += _measured(points.t_s[visit], _columns(points.error_um, points.rotation_urad, visit), place, np.inf)
         low, high = _same_sweep(points, rows[0], rows[1])
         length = axis.sign * (points.error_um[high, along] - points.error_um[low, along])
         place = f"{ends_mm[0]:g} to {ends_mm[1]:g} mm" + (f", approach {sign}" if sign else "")
@@ -329,26 +306,32 @@ def _same_sweep(points: SweepPoints, low: np.ndarray, high: np.ndarray) -> tuple
     return low[i], high[j]
 
 
-def _lines(
-    series: Sequence[Series], start_s: float, end_s: float, instrument: Instrument, apart_mm: float = 0.0
-) -> tuple[Distortion, ...]:
-    """Figures of every series. The instrument's uncertainty is known for displacements, not for angles."""
+def _lines(series: Sequence[Series], start_s: float, end_s: float, instrument: Instrument) -> tuple[Distortion, ...]:
+    """Figures of the series of one drift log, from their zero to 60 min after the start and to the end."""
+    return tuple(_line(one, min(start_s + FIRST_S, end_s), end_s, instrument.difference_u_um()) for one in series)
+
+
+def _visit_lines(series: Sequence[Series], instrument: Instrument, apart_mm: float) -> tuple[Distortion, ...]:
+    """Figures of visits. Each place counts time from its own first visit; a visit may come LATE_S late."""
     lines = []
     for one in series:
-        apart = apart_mm if one.quantity == "length" else 0.0
-        u = instrument.difference_u_um(apart) if one.unit == "µm" else None
-        lines.append(
-            Distortion(
-                one.quantity,
-                one.place,
-                one.unit,
-                range_within(one.t_s, one.value, start_s, min(start_s + FIRST_S, end_s)),
-                range_within(one.t_s, one.value, start_s, end_s),
-                change_within(one.t_s, one.value, start_s, end_s),
-                u,
-            )
-        )
+        first_s = float(one.t_s[0]) + LATE_S
+        u = instrument.difference_u_um(apart_mm if one.quantity == "length" else 0.0)
+        lines.append(_line(one, first_s + FIRST_S, first_s + PERIOD_S, u))
     return tuple(lines)
+
+
+def _line(one: Series, hour_s: float, end_s: float, u_um: float | None) -> Distortion:
+    """Range to `hour_s`, range and change to `end_s`. Of angles the instrument's share is not known."""
+    return Distortion(
+        one.quantity,
+        one.place,
+        one.unit,
+        range_within(one.t_s, one.value, float(one.t_s[0]), hour_s),
+        range_within(one.t_s, one.value, float(one.t_s[0]), end_s),
+        change_within(one.t_s, one.value, float(one.t_s[0]), end_s),
+        u_um if one.unit == "µm" else None,
+    )
 
 
 def _not_measured(data: Drift | SweepPoints, file: str = "drift.csv") -> tuple[str, ...]:
@@ -359,40 +342,10 @@ def _not_measured(data: Drift | SweepPoints, file: str = "drift.csv") -> tuple[s
     lost = [c for k, c in enumerate(ROTATIONS) if angles is None or not np.isfinite(angles[:, k]).any()]
     if lost:
         notes.append(
-            f"tilt {', '.join(lost)}: {file} has no {', '.join(f'r{c}_urad' for c in lost)}. Of two displacement sensors"
-            " a distance l apart the tilt is (d1 - d2) / l: l must be known."
+            f"tilt {', '.join(lost)}: {file} has no {', '.join(f'r{c}_urad' for c in lost)}. Of two displacement"
+            " sensors a distance l apart the tilt is (d1 - d2) / l: l must be known."
         )
     return tuple(notes)
-
-
-def _speed_words(t_s: Floats, rpm: Floats, start_s: float, end_s: float) -> str:
-    inside = rpm[(t_s >= start_s) & (t_s < end_s)]
-    levels = np.unique(inside[inside > 0])
-    if len(levels) <= 4:
-        return f"Spindle speed: {', '.join(f'{v:g}' for v in levels)} rpm."
-    return f"Spindle speed: {levels[0]:g} to {levels[-1]:g} rpm, {len(levels)} levels."
-
-
-def _other_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
-    feed = _speeds(campaign, "_mm_min")
-    if feed is None:
-        return []
-    largest = float(np.max(feed[1][(feed[0] >= start_s) & (feed[0] < end_s)], initial=0.0))
-    if not largest:
-        return []
-    return [f"Axes moved meanwhile (up to {largest:g} mm/min): this is not the distortion of the spindle alone."]
-
-
-def _all_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
-    """What ran during an axis test, as far as duty.csv tells."""
-    if campaign.duty is None or not any(moving(name) for name in campaign.duty.columns):
-        return ["No duty.csv: what moved between the visits is not known, so the heat cannot be put down to this axis."]
-    inside = (campaign.duty.t_s >= start_s) & (campaign.duty.t_s < end_s)
-    top = {n: float(np.nanmax(np.abs(v[inside]), initial=0.0)) for n, v in campaign.duty.columns.items() if moving(n)}
-    ran = [f"{name} up to {value:g}" for name, value in top.items() if value > 0]
-    if not ran:
-        return ["Nothing moved between the visits (duty.csv): this is drift, not distortion by a moving axis."]
-    return [f"Meanwhile: {', '.join(ran)}. The distortion holds all the heat of that time."]
 
 
 def _settling(series: Sequence[Series], start_s: float, end_s: float) -> list[str]:
@@ -420,26 +373,7 @@ def _standing_apart(series: Sequence[Series]) -> list[str]:
         others = np.delete(one.value, worst)
         if len(others) > 3 and off[worst - 1] > np.ptp(others) / 2:
             remarks.append(
-                f"{one.quantity} at {one.place}: the reading at {one.t_s[worst] / 3600:.1f} h departs from its neighbours"
-                f" by {off[worst - 1]:.0f} {one.unit}. It is part of the range; check it."
+                f"{one.quantity} at {one.place}: the reading at {one.t_s[worst] / 3600:.1f} h departs from its"
+                f" neighbours by {off[worst - 1]:.0f} {one.unit}. It is part of the range; check it."
             )
     return remarks
-
-
-def _unsettled(campaign: Campaign, start_s: float) -> tuple[str, ...]:
-    """How far the temperatures had settled in the hour before the test, as far as they were logged."""
-    heat, before = campaign.temperatures, campaign.before
-    t_s, value = heat.t_s, heat.value_degC
-    if before is not None and before.temperatures.sensor_ids == heat.sensor_ids:
-        t_s = np.concatenate([before.temperatures.t_s, t_s])
-        value = np.vstack([before.temperatures.value_degC, value])
-    inside = (t_s >= start_s - FIRST_S) & (t_s <= start_s)
-    logged_min = (start_s - float(t_s[inside][0])) / 60.0 if inside.any() else 0.0
-    if logged_min < 30.0:
-        return (f"Only {logged_min:.0f} min of temperatures before the start: whether the machine had settled is open.",)
-    spread = np.array([np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in value[inside].T])
-    worst = int(np.argmax(spread))
-    return (
-        f"In the {logged_min:.0f} min before the start no sensor moved by more than {spread[worst]:.1f} K"
-        f" ({heat.sensor_ids[worst]}).",
-    )
