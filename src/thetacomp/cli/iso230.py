@@ -115,7 +115,7 @@ def _short(test: Evaluated) -> str:
     if isinstance(test.result, Positioning):
         figures = test.result.figures
         known = {"A": figures.A_um, "R": figures.R_um, "E": figures.E_um, "M": figures.M_um, "B": figures.B_um}
-        return ", ".join(f"{symbol} = {value:.3g} µm" for symbol, value in known.items() if value == value)
+        return ", ".join(f"{symbol} = {value:.4g} µm" for symbol, value in known.items() if value == value)
     hours = (test.result.end_s - test.result.start_s) / 3600
     lines = [line for line in test.result.lines if not test.result.axis or line.quantity == "length"]
     words = (f"{f'{x.quantity} {x.place}'.strip()} {x.period:.1f} {x.unit}" for x in lines)

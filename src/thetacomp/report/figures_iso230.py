@@ -63,7 +63,7 @@ def _mark_range(axes: Axes, result: Positioning) -> None:
     axes.annotate("", (right, low), (right, high), arrowprops={"arrowstyle": "<->", "lw": 0.9, "color": style.INK})
     symbol, size = ("A", figures.A_um) if known else ("E", figures.E_um)
     axes.annotate(
-        f"{symbol} = {size:.3g} µm", (right, (low + high) / 2), xytext=(6, 0), textcoords="offset points",
+        f"{symbol} = {size:.4g} µm", (right, (low + high) / 2), xytext=(6, 0), textcoords="offset points",
         va="center", rotation=90, annotation_clip=False,
     )  # fmt: skip
     axes.set_xlim(axes.get_xlim()[0], right)
@@ -132,7 +132,7 @@ def _draw_panel(axes: Axes, title: str, series: list[Series]) -> None:
             *style.thin(one.t_s / HOUR_S, one.value), color=color, ls="--" if dashed else "-", lw=1.2,
             marker="o" if len(one.t_s) < 40 else "", ms=3, label=label,
         )  # fmt: skip
-    axes.set_title(title)
+    axes.set_title(title, loc="right")  # the left is for the words at the start of the period
     axes.set_ylabel(f"{'tilt' if series[0].unit == 'µrad' else 'displacement'} ({series[0].unit})")
     axes.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), borderaxespad=0.0)
 
@@ -148,9 +148,8 @@ def _name_period(axes: Axes, test: ThermalTest) -> None:
         hour = moment / HOUR_S
         left = hour > low + 0.9 * (high - low)
         axes.annotate(
-            word, (hour, 0.02), xycoords=("data", "axes fraction"), xytext=(-3 if left else 3, 0),
+            word, (hour, 1.0), xycoords=("data", "axes fraction"), xytext=(2 if left else -2, 2),
             textcoords="offset points", ha="right" if left else "left", va="bottom", fontsize=7.5,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
         )  # fmt: skip
 
 
@@ -177,5 +176,7 @@ def _sensor_colors(test: ThermalTest, campaign: Campaign, machine: Machine) -> d
 
 
 def _colored_words(machine: Machine, colors: dict[str, str]) -> str:
-    ambient = any(machine.sensor(s).role == "ambient" for s in colors)
-    return "the ambient sensors and the sensors that moved most" if ambient else "the sensors that moved most"
+    ambient = [sensor for sensor in colors if machine.sensor(sensor).role == "ambient"]
+    moved = [sensor for sensor in colors if sensor not in ambient]
+    words = [f"{', '.join(ambient)} (ambient)"] if ambient else []
+    return "; ".join([*words, f"{', '.join(moved)} (moved most)"] if moved else words)

@@ -140,7 +140,7 @@ def _symbol(symbol: str) -> str:
 
 def _positioning_grids(result: Positioning, instrument: Instrument) -> tuple[Grid, ...]:
     values = {symbol: getattr(result.figures, name) for symbol, name, _ in AXIS_SYMBOLS}
-    digits = digits_for(list(values.values()))
+    digits = 2 if values["E"] < 100.0 else 1
     lines = [
         (
             _symbol(symbol),
@@ -204,7 +204,8 @@ def _conditions(test: Evaluated) -> list[str]:
         if math.isfinite(start_s):
             words += _temperature_words(test.campaign, start_s, end_s)
         words += _settings_words(test.campaign)
-    words.append(f"Instrument: {test.instrument.words}.")
+    lone = "not stated: a table on its own tells no uncertainty"
+    words.append(f"Instrument: {test.instrument.words if test.campaign is not None else lone}.")
     return words
 
 

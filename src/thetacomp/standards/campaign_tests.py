@@ -44,6 +44,7 @@ def campaign_tests(machine: Machine, campaign: Campaign) -> tuple[tuple[Evaluate
     done: list[Evaluated] = []
     refused: list[Refused] = []
     instrument = Instrument.of(campaign.settings)
+    ambient = [sensor.id for sensor in machine.sensors if sensor.role == "ambient"]
 
     def attempt(title: str, work: Callable[[], Positioning | ThermalTest]) -> None:
         try:
@@ -58,10 +59,10 @@ def campaign_tests(machine: Machine, campaign: Campaign) -> tuple[tuple[Evaluate
         refused.append(Refused(campaign.name, "ISO 230-2 and the test of linear axes", reason))
     for axis in swept:
         attempt(POSITIONING.format(axis.name), lambda a=axis: campaign_positioning(campaign, a))  # type: ignore[misc]
-    attempt(ETVE, lambda: environmental_variation(campaign))
-    attempt(SPINDLE, lambda: spindle_distortion(campaign))
+    attempt(ETVE, lambda: environmental_variation(campaign, ambient))
+    attempt(SPINDLE, lambda: spindle_distortion(campaign, ambient))
     for axis in swept:
-        attempt(AXIS.format(axis.name), lambda a=axis: axis_distortion(campaign, a))  # type: ignore[misc]
+        attempt(AXIS.format(axis.name), lambda a=axis: axis_distortion(campaign, a, ambient))  # type: ignore[misc]
     return tuple(done), tuple(refused)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from thetacomp.campaign import Campaign, Floats
@@ -64,6 +66,22 @@ def all_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
     if not ran:
         return ["Nothing moved between the visits (duty.csv): this is drift, not distortion by a moving axis."]
     return [f"Meanwhile: {', '.join(ran)}. The distortion holds all the heat of that time."]
+
+
+def ambient_words(campaign: Campaign, ambient: Sequence[str], start_s: float, end_s: float) -> str:
+    """Range of the ambient temperature during a test, or that nobody measured it."""
+    heat = campaign.temperatures
+    inside = (heat.t_s >= start_s) & (heat.t_s <= end_s)
+    ranges = []
+    for sensor in ambient:
+        if sensor in heat.sensor_ids:
+            value = heat.value_degC[inside, heat.sensor_ids.index(sensor)]
+            value = value[np.isfinite(value)]
+            if len(value):
+                ranges.append(f"{sensor} {value.min():.1f} to {value.max():.1f} °C ({np.ptp(value):.1f} K)")
+    if not ranges:
+        return "No ambient temperature: no sensor of machine.toml with the role ambient has readings in this time."
+    return f"Ambient temperature: {', '.join(ranges)}."
 
 
 def unsettled(campaign: Campaign, start_s: float) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from thetacomp.campaign import CARTESIAN, Campaign, Drift, Floats, SweepPoints
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis
-from thetacomp.standards.conditions import all_motion, other_motion, speed_words, speeds, unsettled
+from thetacomp.standards.conditions import all_motion, ambient_words, other_motion, speed_words, speeds, unsettled
 from thetacomp.standards.instrument import Instrument
 
 FIRST_S = 3600.0
@@ -87,11 +87,12 @@ def change_within(t_s: Floats, value: Floats, start_s: float, end_s: float) -> f
     return float(inside[-1] - inside[0]) if len(inside) > 1 else float("nan")
 
 
-def environmental_variation(campaign: Campaign) -> ThermalTest:
+def environmental_variation(campaign: Campaign, ambient: Sequence[str] = ()) -> ThermalTest:
     """Environmental temperature variation error: range of the drift while the machine rests, from the start on.
 
-    Raises AnalysisError where the campaign has no drift log, where nobody knows whether the machine rested, or where it
-    rested for less than an hour.
+    `ambient` names the sensors in the air around the machine, here and in the other tests. Raises AnalysisError where
+    the campaign has no drift log, where nobody knows whether the machine rested, or where it rested for less than an
+    hour.
     """
     drift, running_s, running = _drift_and_motion(campaign)
     start_s = float(drift.t_s[0])
@@ -118,12 +119,12 @@ def environmental_variation(campaign: Campaign) -> ThermalTest:
         end_s,
         _lines(series, start_s, end_s, Instrument.of(campaign.settings)),
         series,
-        (*remarks, *unsettled(campaign, start_s)),
+        (*remarks, ambient_words(campaign, ambient, start_s, end_s), *unsettled(campaign, start_s)),
         _not_measured(drift),
     )
 
 
-def spindle_distortion(campaign: Campaign) -> ThermalTest:
+def spindle_distortion(campaign: Campaign, ambient: Sequence[str] = ()) -> ThermalTest:
     """Thermal distortion by the spindle: from its first start out of rest, for 4 h or as long as it turns.
 
     A standstill of up to 60 min belongs to the run. Zero is the last reading before the start, and the first of the
@@ -153,12 +154,12 @@ def spindle_distortion(campaign: Campaign) -> ThermalTest:
         end_s,
         _lines(series, start_s, end_s, Instrument.of(campaign.settings)),
         series,
-        (*remarks, *unsettled(campaign, start_s)),
+        (*remarks, ambient_words(campaign, ambient, start_s, end_s), *unsettled(campaign, start_s)),
         _not_measured(drift),
     )
 
 
-def axis_distortion(campaign: Campaign, axis: Axis) -> ThermalTest:
+def axis_distortion(campaign: Campaign, axis: Axis, ambient: Sequence[str] = ()) -> ThermalTest:
     """Thermal distortion of a linear axis: two targets near its ends, visited again and again, for 4 h.
 
     ISO 230-3 covers 2 m: of a longer axis the widest pair of measured targets within 2 m nearest to the middle of the
@@ -194,7 +195,13 @@ def axis_distortion(campaign: Campaign, axis: Axis) -> ThermalTest:
         end_s,
         _visit_lines(series, Instrument.of(campaign.settings), high_mm - low_mm),
         series,
-        (*remarks, *_standing_apart(series), *all_motion(campaign, start_s, end_s), *unsettled(campaign, start_s)),
+        (
+            *remarks,
+            *_standing_apart(series),
+            *all_motion(campaign, start_s, end_s),
+            ambient_words(campaign, ambient, start_s, end_s),
+            *unsettled(campaign, start_s),
+        ),
         _not_measured(points, "sweeps.csv"),
     )
 
