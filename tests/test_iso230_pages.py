@@ -174,6 +174,7 @@ def test_an_unknown_campaign_and_a_folder_without_any_test_are_bad_input(tmp_pat
     done = invoke(folder, "--out", tmp_path / "out", "--campaign", "May")
     assert done.exit_code == 1
     assert "there is no campaign May; the folder has 2026-03-02, 2026-03-09" in done.output
+    assert "there is no such folder" in invoke(tmp_path / "nowhere", "--out", tmp_path / "out").output
     files = valid_files(["day"])
     del files["campaigns/day/drift.csv"], files["campaigns/day/duty.csv"]
     files["campaigns/day/sweeps.csv"] = csv_text(

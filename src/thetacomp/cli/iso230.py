@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from thetacomp.machine import Machine
     from thetacomp.standards.campaign_tests import Evaluated, Refused
 
+TABLES = (".csv", ".xlsx", ".parquet")
+
 
 def iso230(
     source: Annotated[
@@ -33,9 +35,8 @@ def iso230(
         from thetacomp.errors import AnalysisError
         from thetacomp.report.iso230 import write_iso230
 
-        machine, done, refused = (
-            _from_folder(source, campaign or []) if source.is_dir() or campaign else _from_table(source)
-        )
+        lone = source.suffix.lower() in TABLES and not source.is_dir() and not campaign
+        machine, done, refused = _from_table(source) if lone else _from_folder(source, campaign or [])
         if not done:
             raise AnalysisError("\n".join(["no test can be evaluated:", *_reasons(refused)]))
         return _outcome(done, refused, write_iso230(machine, done, out))
