@@ -12,7 +12,8 @@ from builders import small_machine
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, Duty, Floats, LeadIn, SweepPoints, Temperatures
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis
-from thetacomp.standards.campaign_tests import AXIS, ETVE, SPINDLE, campaign_tests
+from thetacomp.standards.campaign_tests import AXIS, ETVE, SPINDLE, campaign_positioning, campaign_tests
+from thetacomp.standards.instrument import Instrument
 from thetacomp.standards.iso230_3 import (
     Distortion,
     ThermalTest,
@@ -21,6 +22,7 @@ from thetacomp.standards.iso230_3 import (
     range_within,
     spindle_distortion,
 )
+from thetacomp.standards.rows import axis_u_um
 
 TAU_S = 3600.0
 STEP_S = 60.0
@@ -212,7 +214,23 @@ def test_axis_distortion_has_the_closed_form_of_the_growth() -> None:
     across = line(test, "Y", "1000 mm, approach -")
     assert (across.period, across.u) == pytest.approx((12.0, 3.0 * math.sqrt(2.0)))
     assert line(test, "X", "0 mm, approach +").period == 0.0
-    assert any("No duty.csv" in remark for remark in test.remarks)
+    assert any("does not tell what moved between the visits" in remark for remark in test.remarks)
+
+
+def test_what_ran_between_the_visits_is_told_and_a_hydraulic_unit_is_no_motion() -> None:
+    axis = Axis(name="X", direction="+X", travel_mm=(0.0, 1000.0))
+    made = visited(axis, (0.0, 500.0, 1000.0))
+    t_s = np.array([0.0, 600.0, 3000.0])
+    for columns, told in (
+        (
+            {"feed_X_mm_min": np.array([0.0, 800.0, 0.0]), "hydraulics_on": np.ones(3)},
+            "Meanwhile: feed_X_mm_min up to 800.",
+        ),
+        ({"feed_X_mm_min": np.zeros(3), "hydraulics_on": np.ones(3)}, "Nothing moved between the visits"),
+        ({"hydraulics_on": np.ones(3)}, "does not tell what moved"),
+    ):
+        remarks = axis_distortion(replace(made, duty=Duty(t_s, columns)), axis).remarks
+        assert any(told in remark for remark in remarks), told
 
 
 def test_a_visit_may_come_five_minutes_late_but_not_six() -> None:
@@ -261,6 +279,30 @@ def test_two_readings_make_a_range_one_does_not() -> None:
     t_s, value = np.array([0.0, 10.0, 20.0]), np.array([1.0, np.nan, 4.0])
     assert range_within(t_s, value, 0.0, 20.0) == 3.0
     assert math.isnan(range_within(t_s, value, 0.0, 10.0))
+
+
+def test_positioning_is_not_guessed_from_sweeps_without_run_or_direction() -> None:
+    axis = Axis(name="X", direction="+X", travel_mm=(0.0, 1000.0))
+    made = visited(axis, (0.0, 250.0, 500.0, 750.0, 1000.0))
+    assert made.sweeps is not None
+    named = replace(made.sweeps, run=tuple(str(k) for k in made.sweeps.sweep))
+    assert campaign_positioning(replace(made, sweeps=named), axis).runs.count == 6
+    with pytest.raises(AnalysisError, match="does not state the direction of every point"):
+        campaign_positioning(replace(made, sweeps=replace(named, direction_given=False)), axis)
+
+
+def test_the_distance_counts_in_the_uncertainty_of_accuracy_but_not_of_repeatability() -> None:
+    axis = Axis(name="X", direction="+X", travel_mm=(0.0, 1000.0))
+    made = visited(axis, (0.0, 250.0, 500.0, 750.0, 1000.0))
+    assert made.sweeps is not None
+    result = campaign_positioning(
+        replace(made, sweeps=replace(made.sweeps, run=tuple(str(k) for k in made.sweeps.sweep))), axis
+    )
+    instrument = Instrument.of(made.settings)  # 3 µm + 2 µm/m, 1 m measured
+    for symbol in ("A", "A_up", "E", "M"):
+        assert axis_u_um(symbol, result, instrument) == pytest.approx(math.hypot(3.0, 5.0))
+    for symbol in ("R", "R_down", "B", "B_mean"):
+        assert axis_u_um(symbol, result, instrument) == pytest.approx(math.hypot(3.0, 3.0))
 
 
 def test_a_campaign_says_of_every_test_whether_it_can_be_evaluated() -> None:

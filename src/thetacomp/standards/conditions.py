@@ -59,7 +59,7 @@ def other_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
 def all_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
     """What ran during an axis test, as far as duty.csv tells."""
     if campaign.duty is None or not any(moving(name) for name in campaign.duty.columns):
-        return ["No duty.csv: what moved between the visits is not known, so the heat cannot be put down to this axis."]
+        return ["duty.csv does not tell what moved between the visits: the heat cannot be put down to this axis."]
     inside = in_force(campaign.duty.t_s, start_s, end_s)
     top = {n: float(np.nanmax(np.abs(v[inside]), initial=0.0)) for n, v in campaign.duty.columns.items() if moving(n)}
     ran = [f"{name} up to {value:g}" for name, value in top.items() if value > 0]
