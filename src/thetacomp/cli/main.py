@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
-from thetacomp.cli import analyze, check, demo, export, keypoints, predict, twin
+from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, predict, twin
 
 app = typer.Typer(
     name="thetacomp",
@@ -39,6 +39,7 @@ app.command("keypoints")(keypoints.keypoints)
 app.command("analyze")(analyze.analyze)
 app.command("predict")(predict.predict)
 app.command("export")(export.export)
+app.command("iso230")(iso230.iso230)
 app.command("twin")(twin.twin)
 
 

@@ -4,6 +4,7 @@ from thetacomp.reading.correlations import read_correlations
 from thetacomp.reading.folder import check_folder, read_folder, read_machine
 from thetacomp.reading.frames import campaign_from_frames
 from thetacomp.reading.lone import Positions, read_duty, read_positions, read_temperatures
+from thetacomp.reading.positioning import read_positioning
 from thetacomp.reading.summary import CampaignSummary, FolderSummary, summarize
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "read_duty",
     "read_folder",
     "read_machine",
+    "read_positioning",
     "read_positions",
     "read_temperatures",
     "summarize",

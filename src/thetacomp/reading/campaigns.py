@@ -137,7 +137,7 @@ def _sweeps(table: Table, start_micros: int, machine: Machine, problems: Problem
     checks.displacements(table, problems)
     axis, position = table.texts["axis"], table.numbers["position_mm"]
     known = _axes_known(table, axis, machine, problems)
-    direction = _directions(table, problems)
+    direction = directions(table, problems)
     if not known:
         return None
     at = _at_mm(table, machine, problems)
@@ -180,7 +180,8 @@ def _axes_known(table: Table, axis: tuple[str, ...], machine: Machine, problems:
     return not unknown
 
 
-def _directions(table: Table, problems: ProblemList) -> Ints | None:
+def directions(table: Table, problems: ProblemList) -> Ints | None:
+    """Approach of every row, +1, -1 or 0 (empty); None where the column is missing or wrong."""
     texts = table.texts.get("direction")
     if texts is None:
         return None

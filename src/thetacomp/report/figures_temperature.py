@@ -65,8 +65,8 @@ def _caption(heated: bool, reference: bool) -> str:
 
 def _draw_campaign(axes: Axes, analysis: Analysis, campaign: Campaign, height_in: float) -> tuple[bool, bool]:
     """Temperatures of one campaign; tells whether heat and reference could be marked."""
-    _draw_temperatures(axes, campaign, key_colors(analysis), height_in)
-    heated = _mark_heat(axes, campaign)
+    draw_temperatures(axes, campaign, key_colors(analysis), height_in)
+    heated = mark_heat(axes, campaign)
     reference_s = _reference_s(analysis, campaign)
     if reference_s is not None:
         _mark_reference(axes, reference_s / style.HOUR_S)
@@ -75,7 +75,8 @@ def _draw_campaign(axes: Axes, analysis: Analysis, campaign: Campaign, height_in
     return heated, reference_s is not None
 
 
-def _draw_temperatures(axes: Axes, campaign: Campaign, colors: dict[str, str], height_in: float) -> None:
+def draw_temperatures(axes: Axes, campaign: Campaign, colors: dict[str, str], height_in: float) -> None:
+    """All sensors of a campaign over hours, those with a colour in front, their ids at the right ends."""
     measured = campaign.temperatures
     hours = measured.t_s / style.HOUR_S
     names, ends = [], []
@@ -116,7 +117,7 @@ def _end_labels(axes: Axes, names: list[str], ends: Floats, colors: dict[str, st
     axes.set_xlim(right - span, right)
 
 
-def _mark_heat(axes: Axes, campaign: Campaign) -> bool:
+def mark_heat(axes: Axes, campaign: Campaign) -> bool:
     """Shade the time in which the spindle or a feed ran; False where duty.csv does not tell."""
     if campaign.duty is None or not campaign.duty.columns:
         return False
