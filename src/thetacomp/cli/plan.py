@@ -63,15 +63,12 @@ def plan(
             interval_min=interval_min,
             mode=mode,
             instrument=instrument,
-            u_um=tracker_u_um,
-            u_um_per_m=tracker_u_um_per_m,
+            tracker_u_um=tracker_u_um,
+            tracker_u_um_per_m=tracker_u_um_per_m,
             tracker_at_mm=None if place is None else (place[0], place[1], place[2]),
             tracker_distance_mm=tracker_distance_mm,
             vertical=vertical.upper(),
-            park_mm={
-                name: numbers("--park", text, 1)[0]
-                for name, text in pairs("--park", park or (), "--park X=1500").items()
-            },
+            park_mm={name: numbers("--park", text, 1)[0] for name, text in rest.items()},
             nc_axis=pairs("--nc-axis", nc_axis or (), "--nc-axis X1=X"),
             start=start,
             must_see_um=must_see_um,

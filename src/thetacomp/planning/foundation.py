@@ -74,4 +74,4 @@ def tie_covariance(setup: Setup, targets: tuple[FoundationTarget, ...], centre_m
 
 def standard_um(setup: Setup, distance_mm: float) -> float:
     """Standard uncertainty (k = 1) of a coordinate: half the stated expanded one."""
-    return (setup.options.u_um + setup.options.u_um_per_m * distance_mm / 1000.0) / 2.0
+    return (setup.options.tracker_u_um + setup.options.tracker_u_um_per_m * distance_mm / 1000.0) / 2.0

@@ -17,7 +17,7 @@ COMMAND = "thetacomp plan"
 class PlanOptions:
     """Choices of one plan. `park_mm` and `nc_axis` go by axis name; `tracker_at_mm` is in the frame of the tool point.
 
-    The expanded uncertainty (k = 2) of each coordinate of a tracker point is `u_um + u_um_per_m * distance`.
+    `tracker_u_um + tracker_u_um_per_m * distance` is the expanded uncertainty (k = 2) of each coordinate of a point.
     Without `tracker_at_mm` every point is taken to lie `tracker_distance_mm` away.
     """
 
@@ -32,8 +32,8 @@ class PlanOptions:
     interval_min: float = 60.0
     mode: str = ""
     instrument: str = "laser tracker"
-    u_um: float = 15.0
-    u_um_per_m: float = 6.0
+    tracker_u_um: float = 15.0
+    tracker_u_um_per_m: float = 6.0
     tracker_at_mm: tuple[float, float, float] | None = None
     tracker_distance_mm: float = 5000.0
     vertical: str = "Y"
@@ -53,8 +53,8 @@ _RANGES = (
     ("duration_h", 0.0, 72.0, False),
     ("cool_h", 0.0, 72.0, True),
     ("interval_min", 0.0, 1440.0, False),
-    ("u_um", 0.0, 10_000.0, False),
-    ("u_um_per_m", 0.0, 10_000.0, True),
+    ("tracker_u_um", 0.0, 10_000.0, False),
+    ("tracker_u_um_per_m", 0.0, 10_000.0, True),
     ("tracker_distance_mm", 0.0, 200_000.0, False),
 )
 

@@ -62,7 +62,8 @@ def verdict(setup: Setup, reached: Sequence[Reach]) -> Verdict:
     return Verdict(
         False,
         f"Not good enough: {wanted:g} µm will not be seen in {len(failing)} of {len(reached)} components",
-        f"Too small for this plan in {', '.join(failing)}. {seen} Bring the tracker nearer, measure more points, or use an instrument of lower uncertainty.",
+        f"Too small for this plan in {', '.join(failing)}. {seen} Bring the tracker nearer, measure more points, or use"
+        " an instrument of lower uncertainty.",
     )
 
 

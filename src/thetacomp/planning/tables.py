@@ -185,8 +185,8 @@ def campaign_toml(timetable: Timetable) -> str:
     return (
         'datum = "campaign"\n'
         f"instrument = {_toml_text(options.instrument)}\n"
-        f"instrument_u_um = {options.u_um!r}                # expanded uncertainty (k = 2) of a point\n"
-        f"instrument_u_um_per_m = {options.u_um_per_m!r}\n"
+        f"instrument_u_um = {options.tracker_u_um!r}                # expanded uncertainty (k = 2) of a point\n"
+        f"instrument_u_um_per_m = {options.tracker_u_um_per_m!r}\n"
         'compensation = "off"                  # "on" for a verification run\n'
         'active_tables = []                    # what the control compensated meanwhile, like ["pitch", "sag"]\n'
         f"mode = {_toml_text(options.mode)}  # cooling and operating mode; campaigns of different modes are not mixed\n"

@@ -78,7 +78,7 @@ def _component(setup: Setup, targets: tuple[FoundationTarget, ...], axis: AxisPl
     contrast = 1.0 + 1.0 / COLD_ROUNDS
     # Out and back: every position is read twice.
     points = contrast * line_covariance(np.repeat(position, 2), np.repeat(sd_um, 2), p0_mm)
-    angle_urad = np.sqrt(contrast) * setup.options.u_um_per_m / 2.0
+    angle_urad = np.sqrt(contrast) * setup.options.tracker_u_um_per_m / 2.0
     middle = _tool_mm(setup, axis, p0_mm)
     tie = contrast * tie_covariance(setup, targets, middle)
     ends = []
