@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from plan_machines import SHORT, boring_machine, mill, three
 from thetacomp.campaign import CARTESIAN
 from thetacomp.machine import Axis
-from thetacomp.planning.foundation import propose_targets, tool_reach_mm
+from thetacomp.planning.foundation import propose_targets, rigid_rows, tool_reach_mm
 from thetacomp.planning.options import PlanOptions
 from thetacomp.planning.setup import Setup, make_setup
 from thetacomp.planning.timetable import COLD_ROUNDS
@@ -147,6 +147,13 @@ role = "drive"
 id = "t2"
 role = "ambient"
 """
+
+
+def test_a_small_turn_moves_a_point_by_the_cross_product() -> None:
+    rng = np.random.default_rng(3)
+    point, centre, shift_um, turn_urad = rng.normal(size=(4, 3)) * 1000.0
+    moved = rigid_rows(point, centre) @ np.concatenate([shift_um, turn_urad])
+    assert moved == pytest.approx(shift_um + np.cross(turn_urad, (point - centre) / 1000.0))
 
 
 def test_more_points_and_a_nearer_tracker_help() -> None:
