@@ -101,13 +101,15 @@ def floor_figure(setup: Setup, targets: Sequence[FoundationTarget]) -> style.Nam
     )
     places = np.array([target.at_mm for target in targets]) / 1000.0
     axes.plot(places[:, across], places[:, along], "s", color=style.VERMILLION, label="foundation target")
-    for target, place in zip(targets, places, strict=True):
-        axes.annotate(target.name, (place[across], place[along]), (7, 5), textcoords="offset points")
+    outward = np.sign(places - places.mean(axis=0))
+    for target, place, side in zip(targets, places, outward, strict=True):
+        offset = (11 * side[across], 9 * side[along])
+        axes.annotate(target.name, place[[across, along]], offset, textcoords="offset points", ha="center", va="center")
     if setup.options.tracker_at_mm is not None:
         station = np.array(setup.options.tracker_at_mm) / 1000.0
         axes.plot(station[across], station[along], "^", color=style.INK, markersize=8, label="tracker")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.15)
+    axes.set_aspect("equal", adjustable="box")
+    axes.margins(0.25)
     axes.set_xlabel(f"{CARTESIAN[across]} (m)")
     axes.set_ylabel(f"{CARTESIAN[along]} (m)")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
