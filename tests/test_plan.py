@@ -20,6 +20,7 @@ from thetacomp.cli.main import app
 from thetacomp.errors import InputError
 from thetacomp.machine import Axis
 from thetacomp.planning import tables
+from thetacomp.planning.figures import floor_figure
 from thetacomp.planning.foundation import propose_targets
 from thetacomp.planning.options import PlanOptions
 from thetacomp.planning.steps import Move, Read
@@ -357,3 +358,13 @@ def test_the_check_against_a_size_decides_the_exit_code_and_json_holds_all(tmp_p
     assert [float(row["visible_um"]) for row in listed] == pytest.approx(
         [row["visible_um"] for row in data["reach"]], abs=0.01
     )
+
+
+@pytest.mark.parametrize("vertical", ["X", "Y", "Z"])
+def test_the_picture_from_above_is_not_a_mirror_image(vertical: str) -> None:
+    setup = make_timetable(mill(), replace(SHORT, vertical=vertical)).setup
+    drawn = floor_figure(setup, propose_targets(setup)).figure.axes[0]
+    right = np.eye(3)["XYZ".index(drawn.get_xlabel()[0])]
+    up = np.eye(3)["XYZ".index(drawn.get_ylabel()[0])] * (-1 if drawn.yaxis_inverted() else 1)
+    # Right-handed axes: what comes towards the reader is what points up in the hall.
+    assert np.cross(right, up) == pytest.approx(np.eye(3)["XYZ".index(vertical)])

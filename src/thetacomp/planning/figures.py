@@ -101,15 +101,19 @@ def floor_figure(setup: Setup, targets: Sequence[FoundationTarget]) -> style.Nam
     )
     places = np.array([target.at_mm for target in targets]) / 1000.0
     axes.plot(places[:, across], places[:, along], "s", color=style.VERMILLION, label="foundation target")
+    # With Y up and X to the right, Z comes towards the reader: drawn upwards it would be a view from below.
+    upwards = -1 if setup.options.vertical == "Y" else 1
     outward = np.sign(places - places.mean(axis=0))
     for target, place, side in zip(targets, places, outward, strict=True):
-        offset = (11 * side[across], 9 * side[along])
+        offset = (11 * side[across], 9 * upwards * side[along])
         axes.annotate(target.name, place[[across, along]], offset, textcoords="offset points", ha="center", va="center")
     if setup.options.tracker_at_mm is not None:
         station = np.array(setup.options.tracker_at_mm) / 1000.0
         axes.plot(station[across], station[along], "^", color=style.INK, markersize=8, label="tracker")
     axes.set_aspect("equal", adjustable="box")
     axes.margins(0.25)
+    if upwards < 0:
+        axes.invert_yaxis()
     axes.set_xlabel(f"{CARTESIAN[across]} (m)")
     axes.set_ylabel(f"{CARTESIAN[along]} (m)")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
