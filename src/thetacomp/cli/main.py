@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
-from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, predict, twin
+from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, plan, predict, twin
 
 app = typer.Typer(
     name="thetacomp",
@@ -35,6 +35,7 @@ def _options(
 
 app.command("demo")(demo.demo)
 app.command("check")(check.check)
+app.command("plan")(plan.plan)
 app.command("keypoints")(keypoints.keypoints)
 app.command("analyze")(analyze.analyze)
 app.command("predict")(predict.predict)

@@ -1,0 +1,76 @@
+"""All files of a plan, made and written. Nothing that exists is overwritten: it may hold what somebody has measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from thetacomp.errors import InputError
+from thetacomp.machine import Machine
+from thetacomp.planning import tables
+from thetacomp.planning.foundation import FoundationTarget, propose_targets
+from thetacomp.planning.nc import nc_files
+from thetacomp.planning.options import PlanOptions, problem
+from thetacomp.planning.page import Verdict, assumptions, render_page, verdict
+from thetacomp.planning.timetable import Timetable, make_timetable
+from thetacomp.planning.uncertainty import Reach, reach
+
+PAGE = "plan.html"
+MACHINE_FOLDER = "machine_folder"
+
+
+@dataclass(frozen=True)
+class MeasuringPlan:
+    """A campaign before it is measured. `notes` says what was taken for granted and what deserves a second thought."""
+
+    timetable: Timetable
+    targets: tuple[FoundationTarget, ...]
+    reached: tuple[Reach, ...]
+    verdict: Verdict
+    notes: tuple[str, ...]
+
+
+def make_plan(machine: Machine, options: PlanOptions) -> MeasuringPlan:
+    """Plan one campaign. Raises InputError with everything that keeps it from being measured."""
+    timetable = make_timetable(machine, options)
+    targets = propose_targets(timetable.setup)
+    reached = reach(timetable.setup, targets)
+    notes = (*assumptions(timetable.setup), *timetable.notes)
+    return MeasuringPlan(timetable, targets, reached, verdict(timetable.setup, reached), notes)
+
+
+def write_plan(plan: MeasuringPlan, machine_toml: bytes, out: Path) -> tuple[str, ...]:
+    """Write all files into `out`; returns their paths below it, the page first. `machine_toml` is copied as it is.
+
+    Raises InputError where `out` holds something already.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(
+            [
+                problem(
+                    "it already exists and is not empty; tables in it may have been filled in.",
+                    "name another folder, or remove it.",
+                    "plan-folder",
+                    str(out),
+                )
+            ]
+        )
+    programs = nc_files(plan.timetable)
+    campaign = f"{MACHINE_FOLDER}/campaigns/{tables.campaign_name(plan.timetable)}"
+    files = {
+        PAGE: render_page(plan.timetable, plan.targets, plan.reached, [file.path for file in programs]),
+        "timetable.csv": tables.timetable_csv(plan.timetable),
+        "points.csv": tables.points_csv(plan.timetable, plan.targets),
+        "uncertainty.csv": tables.uncertainty_csv(plan.reached),
+        "foundation_targets.csv": tables.foundation_csv(plan.targets),
+        "sensor_commissioning.csv": tables.sensors_csv(plan.timetable.setup),
+        **{file.path: file.text for file in programs},
+        **{f"{campaign}/{name}": text for name, text in tables.campaign_files(plan.timetable).items()},
+    }
+    contents = {name: text.encode() for name, text in files.items()}
+    contents[f"{MACHINE_FOLDER}/machine.toml"] = machine_toml
+    for name, content in contents.items():
+        path = out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return tuple(contents)
