@@ -213,3 +213,50 @@ def _seen(rng, where, t_s, stations, sinking_um, tilt_urad, bump_um, bumped_s, n
         tilt = rotation_matrix(np.array([tilt_urad, 0.0, -0.5 * tilt_urad]) * 1e-6 * t / DAY_S)
         out[i] = (tilt @ stand.rotation()).T @ (point - stand.at_mm - shift)
     return instrument_noise_mm(rng, out, settings) if noise else out
+
+
+def machine_toml() -> str:
+    """MACHINE as its file."""
+    text = 'format = 1\n\n[machine]\nname = "hall"\n'
+    for axis in MACHINE.axes:
+        text += (
+            f'\n[[axes]]\nname = "{axis.name}"\ndirection = "{axis.direction}"\ntravel_mm = {list(axis.travel_mm)}\n'
+        )
+    return text + '\n[[sensors]]\nid = "t1"\nrole = "drive"\naxis = "Y"\n'
+
+
+def campaign_toml(hall: Hall, more: str = "") -> str:
+    """Settings of the campaign with the section [tracker]."""
+    s = hall.settings
+    return (
+        f"reference_s = {hall.reference_s}\n\n[tracker]\ndistance_sd_um = {s.distance_sd_um}\n"
+        f"distance_sd_um_per_m = {s.distance_sd_um_per_m}\nhorizontal_sd_urad = {s.horizontal_sd_urad}\n"
+        f"vertical_sd_urad = {s.vertical_sd_urad}\n{more}"
+    )
+
+
+def tracker_rows(hall: Hall) -> list[list[object]]:
+    """Rows of tracker.csv in order of time, header first."""
+    names = [axis.name for axis in MACHINE.axes]
+    p, f = hall.points, hall.foundation
+    assert p.station is not None
+    rows: list[list[object]] = []
+    for i, axis in enumerate(p.axis):
+        at = [None if name == axis else float(p.at_mm[name][i]) for name in names]
+        sign = "+" if p.direction[i] > 0 else "-"
+        xyz = [f"{value:.5f}" for value in hall.xyz_mm[i]]
+        target = f"{axis}{i:04d}"
+        rows.append([float(p.t_s[i]), p.station[i], target, *xyz, axis, float(p.position_mm[i]), *at, sign, p.sweep[i]])
+    for i, target in enumerate(f.target):
+        xyz = [f"{value:.5f}" for value in f.xyz_mm[i]]
+        rows.append([float(f.t_s[i]), f.station[i], target, *xyz, None, None, *[None] * len(names), None, None])
+    header: list[object] = ["t_s", "station", "target", "x_mm", "y_mm", "z_mm", "axis", "position_mm"]
+    header += [f"at_{name}_mm" for name in names] + ["direction", "run"]
+    return [header, *sorted(rows, key=lambda row: float(str(row[0])))]
+
+
+def temperature_text(hall: Hall, warmer_K: float = 10.0) -> str:
+    """temperatures.csv that follows the true warmth."""
+    clock = np.arange(0.0, hall.points.t_s[-1] + 600.0, 300.0)
+    lines = [f"{t:.0f},{20.0 + warmer_K * w:.3f}" for t, w in zip(clock, warmth(clock, hall.reference_s), strict=True)]
+    return "t_s,t1\n" + "\n".join(lines) + "\n"

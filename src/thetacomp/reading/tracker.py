@@ -105,7 +105,7 @@ def coordinates_are_plausible(table: Table, problems: ProblemList) -> None:
     partly = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
     if len(partly):
         problems.error(
-            "missing-value",
+            "tracker-coordinates",
             table.file,
             "one of x, y, z is empty.",
             "fill in all three, or leave all three empty where the beam was lost.",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thetacomp.campaign import Ints, TrackerSettings
+from thetacomp.campaign import Floats, Ints, TrackerSettings
 from thetacomp.reading import text
 from thetacomp.reading.columns import XYZ, Matched, match, tracker_file_schema
 from thetacomp.reading.problems import ProblemList, UnreadableError, nearest, quoted
@@ -162,8 +162,9 @@ def _joined(tables: Sequence[Table], planned: Table, place: str, problems: Probl
     if found.has_errors:
         return None
     of_plan = np.full(len(where), -1)
+    moments = _moments(tables)
     for name, rows in seen.items():
-        of_plan[rows] = plan[name]
+        of_plan[sorted(rows, key=lambda i: moments[i])] = plan[name]
     return _merged(tables, planned, of_plan, place, problems)
 
 
@@ -229,6 +230,15 @@ def _merged(tables: Sequence[Table], planned: Table, of_plan: Ints, place: str, 
         texts["station"] = tuple(stations[i] for i in order.tolist())
     source_of_plan = replace(planned.matched.source, rows=planned.rows[rows])
     return Table("tracker", Matched(source_of_plan, planned.matched.columns), elapsed, clock, numbers, texts)
+
+
+def _moments(tables: Sequence[Table]) -> Floats:
+    """Something that rises with the time of measuring, over the rows of all files: their times, else their order."""
+    if all(table.clock is not None for table in tables):
+        return np.concatenate([table.clock.micros / 1e6 for table in tables if table.clock is not None])
+    if all(table.elapsed_s is not None for table in tables):
+        return np.concatenate([table.elapsed_s for table in tables if table.elapsed_s is not None])
+    return np.arange(float(sum(len(table.rows) for table in tables)))
 
 
 def _has_time(table: Table) -> bool:

@@ -9,7 +9,14 @@ import numpy as np
 from thetacomp.campaign import CARTESIAN, Floats, Ints, SweepPoints, TrackerSettings, TrackerTie
 from thetacomp.cold_block import cold_block_length, sweep_table
 from thetacomp.machine import Machine
-from thetacomp.tracker.closure import closures, excess_by_station, inflated, moved_targets, tracker_motions
+from thetacomp.tracker.closure import (
+    closures,
+    excess_by_station,
+    inflated,
+    scale_drift,
+    tracker_motions,
+    without_moved_targets,
+)
 from thetacomp.tracker.finding import Finding, FrameError
 from thetacomp.tracker.foundation import Foundation, Network, adjust, find_rounds
 from thetacomp.tracker.rigid import (
@@ -107,7 +114,7 @@ def to_machine_frame(
     left_out = int((~fit.used).sum())
     notes = describe(report, _axes(points, cold), left_out)
     findings = (*tie.findings, *scale_finding(*scale))
-    return result, replace(report, notes=notes), findings
+    return result, replace(report, notes=notes, doubts=tuple(item.message for item in findings)), findings
 
 
 def _cold_points(points: SweepPoints, reference_s: float | None) -> Bools:
@@ -189,12 +196,12 @@ def _tie(
     own_um2 = point_covariance_um2(foundation.xyz_mm, instrument)
     network = adjust(foundation, rounds, own_um2, cold_share)
     refuse_moved_station(network)
+    network, moved = without_moved_targets(foundation, network, own_um2, cold_share)
     excess = excess_by_station(network)
     covariance = inflated(network, excess)
     steps, uneven = uneven_steps(network, covariance, share)
     tied, rotation = tied_points(network, share, xyz_mm)
-    findings += moved_targets(foundation, rounds, own_um2, cold_share, network) + uneven
-    findings += unbracketed(rounds, t_s, station)
+    findings += moved + uneven + scale_drift(foundation, network) + unbracketed(rounds, t_s, station)
     return _Tie(tied, rotation, network, share, covariance, steps, excess, tuple(findings))
 
 
