@@ -214,6 +214,19 @@ def test_pooled_coverage_of_drift_and_slope():
     assert np.mean(blind) < 0.75
 
 
+def test_the_uncertainty_of_the_frame_counts_the_right_way():
+    # 18 cold points fix six unknowns: 6 of 54 parts. They follow the frame, later points do not.
+    scaled = {"cold": [], "later": []}
+    for seed in range(150):
+        seen = hall(seed, rounds=2, targets=3, foundation_names=(), sinking_um=0.0, tilt_urad=0.0)
+        points, _, _ = seen.errors()
+        cold = points.t_s <= seen.reference_s
+        for key, rows in (("cold", cold), ("later", ~cold)):
+            scaled[key].append(((points.error_um - seen.truth_um) / points.sd_um)[rows])
+    for values in scaled.values():
+        assert np.sqrt(np.mean(np.concatenate(values) ** 2)) == pytest.approx(1.0, abs=0.025)
+
+
 def test_isotropic_weights_are_measurably_worse(monkeypatch):
     """The same points, weighted by their mean variance in all directions."""
 

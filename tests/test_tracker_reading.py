@@ -141,6 +141,14 @@ def test_a_commanded_point_needs_the_positions_of_all_axes(tmp_path, seen):
     assert "position of axis W is not stated while axis X moves" in problems["missing-value"].message
 
 
+def test_a_tracker_that_was_never_moved_needs_no_station(tmp_path, seen):
+    rows = [[cell for k, cell in enumerate(row) if k != 1] for row in tracker_rows(seen)]
+    folder, problems = problems_of(tmp_path, files(seen, **{f"{DAY}/tracker.csv": csv_text(rows)}))
+    assert problems == {}
+    assert folder.campaigns[0].tracker.closures[0].rounds == 8
+    assert folder.campaigns[0].sweeps.error_um == pytest.approx(seen.errors()[0].error_um, abs=0.05)
+
+
 def test_an_axis_that_never_moves_may_do_without_positions_and_this_is_said(tmp_path, seen):
     header, *rows = [list(line) for line in tracker_rows(seen)]
     z = header.index("at_Z_mm")
@@ -249,21 +257,25 @@ def test_points_that_were_planned_and_not_measured_are_a_warning(tmp_path, seen)
     assert len(folder.campaigns[0].sweeps.t_s) == len(seen.points.t_s) - 1
 
 
-def test_groups_tell_rounds_apart_where_a_target_is_missing(tmp_path, seen):
+def test_names_of_single_readings_tell_rounds_apart_where_a_target_is_missing(tmp_path, seen):
+    # As a measuring plan names them: R3_F2 is the target F2 in the third round.
     text, planned = exported(seen)
     header, *rows = planned.splitlines()
     body = [line for line in text.splitlines() if not line.startswith("//")]
     begun = np.cumsum([",F1," in row for row in rows])
-    planned = "\n".join([f"group,{header}", *(f"R{g},{row}" for g, row in zip(begun, rows, strict=True))]) + "\n"
-    body = [f"R{g} {line.replace(',', ' ')}" for g, line in zip(begun, body, strict=True)]
-    del body[next(i for i, line in enumerate(body) if line.startswith("R3 F2"))]
+    names = [f"R{k}_{line.split(',')[0]}" for k, line in zip(begun, body, strict=True)]
+    planned = "\n".join([f"point,{header}", *(f"{n},{row}" for n, row in zip(names, rows, strict=True))]) + "\n"
+    body = [f"day   R {n}{line[line.index(',') :].replace(',', ' ')}" for n, line in zip(names, body, strict=True)]
+    del body[next(i for i, line in enumerate(body) if "R3_F2" in line)]
     texts = files(seen, **{f"{DAY}/tracker.txt": "\n".join(body), f"{DAY}/tracker_points.csv": planned})
     del texts[f"{DAY}/tracker.csv"]
-    texts[f"{DAY}/campaign.toml"] = campaign_toml(seen, 'columns = ["group", "target", "x", "y", "z"]\n')
+    texts[f"{DAY}/campaign.toml"] = campaign_toml(seen, 'columns = ["collection", "group", "target", "x", "y", "z"]\n')
     folder, problems = problems_of(tmp_path, texts)
     assert set(problems) == {"planned-times", "target-not-measured"}
-    assert "'R3 / F2'" in problems["target-not-measured"].message
-    assert folder.campaigns[0].sweeps.error_um == pytest.approx(seen.errors()[0].error_um, abs=15.0)
+    assert "'R3_F2'" in problems["target-not-measured"].message
+    (campaign,) = folder.campaigns
+    assert campaign.tracker.closures[0].targets == 5
+    assert campaign.sweeps.error_um == pytest.approx(seen.errors()[0].error_um, abs=15.0)
 
 
 @pytest.mark.parametrize(

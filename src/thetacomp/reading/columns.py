@@ -108,7 +108,7 @@ def _tracker_schema(table: str, machine: Machine) -> Schema:
     known = TIME | {name: Meaning(name, "text") for name in ("station", "target", "axis", "direction", "run")}
     known |= {"position_mm": Meaning("position_mm")} | _positions_of_axes(machine)
     if table == "tracker_points":
-        return Schema(known | {"group": Meaning("group", "text")}, (("target",), ("axis",), ("position_mm",)))
+        return Schema(known | {"point": Meaning("point", "text")}, (("target",), ("axis",), ("position_mm",)))
     known |= {f"{letter}_{unit}": Meaning(f"{letter}_mm", "number", MM[unit]) for letter in "xyz" for unit in MM}
     single = tuple(tuple(f"{letter}_{unit}" for unit in MM) for letter in "xyz")
     return Schema(known, (_TIME_REQUIRED, ("target",), ("axis",), ("position_mm",), *single))

@@ -36,8 +36,8 @@ def tracker_table(
 ) -> Table | None:  # fmt: skip
     """One table `tracker` from exported points and the table `tracker_points`. None, with the problems noted, else.
 
-    Every exported point takes axis, positions and station from the planned point of its name. A name that was planned
-    several times (a foundation target) is joined in the order of measuring.
+    Every exported point takes axis, positions and station from the planned point of its name (column `point`, else
+    `target`). A name that was planned several times, like a foundation target, is joined in the order of measuring.
     """
     columns = settings.columns if settings is not None else TrackerSettings.model_fields["columns"].default
     unit = settings.unit if settings is not None else "mm"
@@ -121,8 +121,8 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 def _joined(tables: Sequence[Table], planned: Table, place: str, problems: ProblemList) -> Table | None:
     found = ProblemList()
-    names = [_keys(table, planned) for table in tables]
-    plan = _by_name(_keys(planned, planned))
+    names = [table.texts["target"] for table in tables]
+    plan = _by_name(planned.texts.get("point", planned.texts["target"]))
     seen = _by_name([name for part in names for name in part])
     where = [(table, i) for table in tables for i in range(len(table.rows))]
     for table, part in zip(tables, names, strict=True):
@@ -131,8 +131,7 @@ def _joined(tables: Sequence[Table], planned: Table, place: str, problems: Probl
             found.error(
                 "unplanned-target",
                 table.file,
-                f"the target '{' / '.join(part[unknown[0]])}' is not in {planned.file}"
-                f"{nearest(part[unknown[0]][-1], [name[-1] for name in plan])}.",
+                f"the target '{part[unknown[0]]}' is not in {planned.file}{nearest(part[unknown[0]], plan)}.",
                 "add it there with its axis and positions, or without an axis where it is a foundation target.",
                 table.rows[unknown].tolist(),
                 table.header("target"),
@@ -143,14 +142,14 @@ def _joined(tables: Sequence[Table], planned: Table, place: str, problems: Probl
             found.error(
                 "target-count",
                 table.file,
-                f"the target '{' / '.join(name)}' was measured {len(rows)} times and planned {len(plan[name])} times:"
+                f"the target '{name}' was measured {len(rows)} times and planned {len(plan[name])} times:"
                 " which is which cannot be told.",
-                f"delete the rows of {planned.file} that were not measured, or tell the rounds apart by a column"
-                " `group` in both files.",
+                f"delete the rows of {planned.file} that were not measured, or give every reading a name of its own, in"
+                " the column `point` there.",
                 [int(table.rows[i])],
                 table.header("target"),
             )
-    absent = [" / ".join(name) for name in plan if name not in seen]
+    absent = [name for name in plan if name not in seen]
     if absent:
         found.warning(
             "target-not-measured",
@@ -168,16 +167,8 @@ def _joined(tables: Sequence[Table], planned: Table, place: str, problems: Probl
     return _merged(tables, planned, of_plan, place, problems)
 
 
-def _keys(table: Table, planned: Table) -> list[tuple[str, ...]]:
-    """Names by which points are joined: the target, with its group where the planned points state groups."""
-    target = table.texts["target"]
-    if "group" in planned.texts and "group" in table.texts:
-        return list(zip(table.texts["group"], target, strict=True))
-    return [(name,) for name in target]
-
-
-def _by_name(names: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], list[int]]:
-    found: dict[tuple[str, ...], list[int]] = {}
+def _by_name(names: Sequence[str]) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         found.setdefault(name, []).append(i)
     return found
