@@ -289,6 +289,8 @@ def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparat
         for c in campaigns
         if c.settings.active_tables
     ]
+    ties = [(c.name, c.tracker) for c in campaigns if c.tracker is not None]
+    notes += [f"campaign {name}, tracker: {note}" for name, tie in ties for note in (*tie.notes, *tie.doubts)]
     notes += [note for campaign in campaigns for note in _cold_notes(campaign)]
     notes += _position_notes(campaigns)
     notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]

@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from thetacomp.machine import Machine, Strict
 
@@ -21,6 +22,23 @@ Ints = NDArray[np.int64]
 CARTESIAN = ("X", "Y", "Z")
 GAP_INTERVALS = 3.0
 GAP_S = 600.0
+
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class TrackerSettings(Strict):
+    """`[tracker]` of `campaign.toml`: standard deviations of one point (not expanded), and the form of SA-like files.
+
+    The distance has `distance_sd_um + distance_sd_um_per_m * distance`; the two angles turn into µm by the distance.
+    """
+
+    distance_sd_um: Positive
+    distance_sd_um_per_m: Annotated[float, Field(ge=0)] = 0.0
+    horizontal_sd_urad: Positive
+    vertical_sd_urad: Positive
+    columns: tuple[str, ...] = ("target", "x", "y", "z")
+    unit: Literal["mm", "m", "inch"] = "mm"
 
 
 class CampaignSettings(Strict):
@@ -37,6 +55,7 @@ class CampaignSettings(Strict):
     reference_s: float | None = None
     sign: Literal["stated", "unproven"] = "stated"
     origin: str = ""
+    tracker: TrackerSettings | None = None
 
 
 @dataclass(frozen=True)
@@ -77,6 +96,10 @@ class SweepPoints:
     `direction_given` is False where some of it was inferred from the motion.
     `error_um` is (n, 3) along machine X, Y, Z; `rotation_urad` (n, 3) about X, Y, Z where it was measured.
     `at_mm` holds the positions of the other axes where they were written down.
+
+    From tracker points: `sd_um` (n, 3) is the standard deviation of each error (instrument, tie and frame), `noise_um`
+    (n, 3) its part that is new at every point. `tie_covariance` (sweeps, 3, 2, 2) is what the points of a sweep share
+    in each direction: covariance of an offset in µm at the mean position and a slope in µm/m.
     """
 
     t_s: Floats
@@ -90,6 +113,55 @@ class SweepPoints:
     rotation_urad: Floats | None = None
     at_mm: Mapping[str, Floats] = field(default_factory=dict)
     direction_given: bool = True
+    sd_um: Floats | None = None
+    noise_um: Floats | None = None
+    tie_covariance: Floats | None = None
+
+
+@dataclass(frozen=True)
+class StationClosure:
+    """How well the fixed foundation targets of one station fit together, over all its rounds.
+
+    `moved_um` (3,) is the motion of the tracker along machine X, Y, Z from its first round to its last, with its
+    standard error. `excess` is the factor by which the closure exceeds the stated uncertainty (1: it does not).
+    """
+
+    station: str
+    rounds: int
+    targets: int
+    rms_um: float
+    largest_um: float
+    largest_target: str
+    largest_t_s: float
+    moved_um: Floats
+    moved_se_um: Floats
+    excess: float
+
+
+@dataclass(frozen=True)
+class TrackerTie:
+    """How tracker points became errors of the machine.
+
+    `rotation` (3, 3) and `translation_mm` (3,) carry foundation coordinates into the machine frame, fitted once on
+    the cold block; `frame_rms_um` and `frame_largest_um` are what it leaves there. `scale_um_per_m` is reported, never
+    applied. `motion_um` (rounds, 3) is where the tracker stood at each round, against its station's first one.
+    `notes` says all this in words, `doubts` what a user should look into.
+    """
+
+    rotation: Floats
+    translation_mm: Floats
+    cold_points: int
+    frame_rms_um: float
+    frame_largest_um: float
+    scale_um_per_m: float
+    scale_se_um_per_m: float
+    closures: tuple[StationClosure, ...]
+    round_t_s: Floats
+    round_station: tuple[str, ...]
+    motion_um: Floats
+    motion_se_um: Floats
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -144,6 +216,7 @@ class Campaign:
     duty: Duty | None = None
     start: datetime | None = None
     before: LeadIn | None = None
+    tracker: TrackerTie | None = None
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,10 @@ def _summary_lines(summary: FolderSummary) -> list[str]:
     head = (
         f"{summary.machine}: {axes}; {_count(summary.sensors, 'sensor')}; {_count(len(summary.campaigns), 'campaign')}"
     )
-    return [head, *(_campaign_line(campaign) for campaign in summary.campaigns)]
+    lines = [head]
+    for campaign in summary.campaigns:
+        lines += [_campaign_line(campaign), *(f"    tracker: {note}" for note in campaign.tracker)]
+    return lines
 
 
 def _campaign_line(campaign: CampaignSummary) -> str:

@@ -15,21 +15,17 @@ from thetacomp.campaign import (
     CampaignSettings,
     Drift,
     Duty,
-    Floats,
-    Ints,
     Parameters,
-    SweepPoints,
     Temperatures,
 )
 from thetacomp.machine import Machine
-from thetacomp.reading import checks
-from thetacomp.reading.columns import ERRORS, ROTATIONS
-from thetacomp.reading.problems import ProblemList, nearest, quoted
-from thetacomp.reading.sweeps import segment
+from thetacomp.reading import checks, tracker
+from thetacomp.reading.columns import ERRORS
+from thetacomp.reading.problems import ProblemList, quoted
+from thetacomp.reading.sweep_table import at_mm, rotations, sweep_points
 from thetacomp.reading.tables import Table
 
-MEASURED = ("sweeps", "drift", "parameters")
-_DIRECTIONS = {"+": 1, "+1": 1, "1": 1, "-": -1, "-1": -1, "−": -1, "": 0}
+MEASURED = ("sweeps", "tracker", "drift", "parameters")
 
 
 def build(
@@ -50,7 +46,10 @@ def build(
     start_micros, start = _common_start(place, tables, found)
     one_clock = not found.has_errors
     heat = temperatures(tables["temperatures"], start_micros, machine, found) if "temperatures" in tables else None
-    sweeps = _sweeps(tables["sweeps"], start_micros, machine, found) if "sweeps" in tables else None
+    sweeps = sweep_points(tables["sweeps"], start_micros, machine, found) if "sweeps" in tables else None
+    tie = None
+    if "tracker" in tables and "sweeps" not in tables:
+        sweeps, tie = tracker.tracker_sweeps(tables["tracker"], place, start_micros, machine, settings, found)
     drift = _drift(tables["drift"], start_micros, machine, found) if "drift" in tables else None
     lines = _parameters(tables["parameters"], start_micros, machine, found) if "parameters" in tables else None
     work = duty(tables["duty"], start_micros, found) if "duty" in tables else None
@@ -59,7 +58,7 @@ def build(
     problems.extend(found)
     if found.has_errors or heat is None:
         return None
-    return Campaign(name, settings, heat, sweeps, drift, lines, work, start)
+    return Campaign(name, settings, heat, sweeps, drift, lines, work, start, tracker=tie)
 
 
 def _common_start(place: str, tables: Mapping[str, Table], problems: ProblemList) -> tuple[int, datetime | None]:
@@ -118,109 +117,11 @@ def temperatures(table: Table, start_micros: int, machine: Machine | None, probl
     return data
 
 
-def _rotations(table: Table) -> Floats | None:
-    return table.stacked(ROTATIONS) if any(name in table.numbers for name in ROTATIONS) else None
-
-
-def _at_mm(table: Table, machine: Machine, problems: ProblemList) -> dict[str, Floats]:
-    at = {
-        axis.name: table.numbers[f"at_{axis.name}_mm"] for axis in machine.axes if f"at_{axis.name}_mm" in table.numbers
-    }
-    for name, values in at.items():
-        checks.positions(table, [name] * len(values), {f"at_{name}_mm": values}, machine, problems)
-    return at
-
-
-def _sweeps(table: Table, start_micros: int, machine: Machine, problems: ProblemList) -> SweepPoints | None:
-    t_s = table.t_s(start_micros)
-    checks.time_order(table, t_s, problems, strictly=False)
-    checks.displacements(table, problems)
-    axis, position = table.texts["axis"], table.numbers["position_mm"]
-    known = _axes_known(table, axis, machine, problems)
-    direction = directions(table, problems)
-    if not known:
-        return None
-    at = _at_mm(table, machine, problems)
-    _at_is_of_another_axis(table, axis, at, problems)
-    checks.positions(table, axis, {table.header("position_mm") or "": position}, machine, problems)
-    sweep, approach = segment(axis, position, table.texts.get("run"), direction)
-    data = SweepPoints(
-        t_s=t_s,
-        axis=axis,
-        sweep=sweep,
-        position_mm=position,
-        direction=approach,
-        error_um=table.stacked(ERRORS),
-        run=table.texts.get("run"),
-        station=table.texts.get("station"),
-        rotation_urad=_rotations(table),
-        at_mm=at,
-        direction_given=direction is not None and bool(np.all(direction != 0)),
-    )
-    if np.all(np.diff(t_s) >= 0):
-        checks.sweeps(table, data, problems)
-    return data
-
-
-def _axes_known(table: Table, axis: tuple[str, ...], machine: Machine, problems: ProblemList) -> bool:
-    names = [a.name for a in machine.axes]
-    unknown = [i for i, name in enumerate(axis) if name not in names]
-    if unknown:
-        name = axis[unknown[0]]
-        found = f"found the axis '{name}'{nearest(name, names)}" if name else "the cell is empty"
-        expected = f"expected one of {quoted(names)}" if names else "but machine.toml has no [[axes]]"
-        problems.error(
-            "unknown-axis",
-            table.file,
-            f"{found}, {expected}.",
-            "correct the name, or add the axis to machine.toml as [[axes]] with name, direction and travel_mm.",
-            table.rows[unknown].tolist(),
-            table.header("axis"),
-        )
-    return not unknown
-
-
-def directions(table: Table, problems: ProblemList) -> Ints | None:
-    """Approach of every row, +1, -1 or 0 (empty); None where the column is missing or wrong."""
-    texts = table.texts.get("direction")
-    if texts is None:
-        return None
-    wrong = [i for i, text in enumerate(texts) if text not in _DIRECTIONS]
-    if wrong:
-        problems.error(
-            "direction",
-            table.file,
-            f"found '{texts[wrong[0]]}', expected + or - (the side from which the position was approached).",
-            "write + where the axis moved towards higher positions, - where towards lower ones, or leave it empty.",
-            table.rows[wrong].tolist(),
-            table.header("direction"),
-        )
-        return None
-    return np.array([_DIRECTIONS[text] for text in texts], dtype=np.int64)
-
-
-def _at_is_of_another_axis(
-    table: Table, axis: tuple[str, ...], at: Mapping[str, Floats], problems: ProblemList
-) -> None:
-    names = np.array(axis)
-    for name, values in at.items():
-        clash = np.flatnonzero((names == name) & np.isfinite(values))
-        if len(clash):
-            problems.error(
-                "at-moving-axis",
-                table.file,
-                f"axis {name} moves in these rows, and its position also stands in at_{name}_mm.",
-                f"leave at_{name}_mm empty where {name} is the moving axis: its position is position_mm.",
-                table.rows[clash].tolist(),
-                table.header(f"at_{name}_mm"),
-            )
-
-
 def _drift(table: Table, start_micros: int, machine: Machine, problems: ProblemList) -> Drift:
     t_s = table.t_s(start_micros)
     checks.time_order(table, t_s, problems)
     checks.displacements(table, problems)
-    return Drift(t_s, table.stacked(ERRORS), _rotations(table), _at_mm(table, machine, problems))
+    return Drift(t_s, table.stacked(ERRORS), rotations(table), at_mm(table, machine, problems))
 
 
 def duty(table: Table, start_micros: int, problems: ProblemList) -> Duty:
@@ -376,18 +277,20 @@ def _together(
     for name in MEASURED:
         if name in tables:
             checks.covered(tables[name], tables[name].t_s(start_micros), heat, "the temperature table", problems)
-    if "sweeps" in tables and "parameters" in tables:
+    over_position = [name for name in ("sweeps", "tracker", "parameters") if name in tables]
+    if len(over_position) > 1:
         problems.error(
             "two-sources",
             place,
-            "there are sweeps and already separated parameters.",
-            "keep one of the two: parameters stand instead of sweeps.",
+            f"the tables {' and '.join(over_position)} state the same errors: sweeps, tracker points, and already"
+            " separated parameters stand instead of each other.",
+            "keep one of them.",
         )
     if not set(MEASURED) & {*tables, *unread}:
         problems.warning(
             "nothing-measured",
             place,
-            "there are temperatures but no sweeps, drift or parameters.",
+            "there are temperatures but no sweeps, tracker points, drift or parameters.",
             "add the measured errors; a model cannot be made from temperatures alone.",
         )
     if settings.reference_s is not None and not heat.t_s[0] <= settings.reference_s <= heat.t_s[-1]:

@@ -10,7 +10,7 @@ from thetacomp.machine import Machine
 from thetacomp.reading.problems import ProblemList, nearest, quoted
 from thetacomp.reading.sources import Column, Source
 
-TABLES = ("temperatures", "sweeps", "drift", "parameters", "duty")
+TABLES = ("temperatures", "sweeps", "drift", "parameters", "duty", "tracker", "tracker_points")
 
 Kind = Literal["time", "clock", "number", "text"]
 
@@ -62,6 +62,8 @@ _TIME_REQUIRED = tuple(TIME)
 DUTY = Schema(TIME, (_TIME_REQUIRED,), free=True)
 ERRORS = ("dX_um", "dY_um", "dZ_um")
 ROTATIONS = ("rA_urad", "rB_urad", "rC_urad")
+XYZ = ("x_mm", "y_mm", "z_mm")
+MM = {"mm": 1.0, "m": 1000.0, "inch": 25.4}
 
 
 def _length(stem: str) -> dict[str, Meaning]:
@@ -97,7 +99,27 @@ def schema(table: str, machine: Machine) -> Schema:
         known |= {name: Meaning(name) for name in ("slope_um_per_m", "p0_mm", "p_min_mm", "p_max_mm")}
         single = (("component",), ("slope_um_per_m",), ("p0_mm",), ("p_min_mm",), ("p_max_mm",))
         return Schema(known, (_TIME_REQUIRED, ("intercept_um", "intercept_mm"), *single))
+    if table in ("tracker", "tracker_points"):
+        return _tracker_schema(table, machine)
     return DUTY
+
+
+def _tracker_schema(table: str, machine: Machine) -> Schema:
+    """Points of a laser tracker, a row without an axis being a foundation target; `tracker_points`: as planned."""
+    known = TIME | {name: Meaning(name, "text") for name in ("station", "target", "axis", "direction", "run")}
+    known |= {"position_mm": Meaning("position_mm")} | _positions_of_axes(machine)
+    if table == "tracker_points":
+        return Schema(known | {"point": Meaning("point", "text")}, (("target",), ("axis",), ("position_mm",)))
+    known |= {f"{letter}_{unit}": Meaning(f"{letter}_mm", "number", MM[unit]) for letter in "xyz" for unit in MM}
+    single = tuple(tuple(f"{letter}_{unit}" for unit in MM) for letter in "xyz")
+    return Schema(known, (_TIME_REQUIRED, ("target",), ("axis",), ("position_mm",), *single))
+
+
+def tracker_file_schema(columns: Sequence[str], unit: str) -> Schema:
+    """Points as a tracker's program exports them; `columns` of `[tracker]` in campaign.toml name the cells in order."""
+    known = {name: Meaning(name, "text") for name in ("collection", "group", "target", "station")} | TIME
+    known |= {letter: Meaning(f"{letter}_mm", "number", MM[unit]) for letter in "xyz"}
+    return Schema(known, tuple((name,) for name in columns if name != "-"))
 
 
 def temperature_schema(machine: Machine) -> Schema:

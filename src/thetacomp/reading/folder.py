@@ -19,6 +19,7 @@ from thetacomp.reading.recording import FILE as RECORDING
 from thetacomp.reading.recording import read_recording
 from thetacomp.reading.sources import Source, from_sheet, read_source
 from thetacomp.reading.tables import Table, load
+from thetacomp.reading.tracker_files import is_tracker_file, tracker_table
 from thetacomp.reading.workbook import Workbook
 
 MACHINE = "machine.toml"
@@ -193,6 +194,7 @@ def _campaign(folder: Path, name: str, machine: Machine | None, problems: Proble
         return None
     tables, settings = _Tables(), CampaignSettings()
     good = True
+    exported = [(f"{place}/{file}", path) for file, path in entries.items() if is_tracker_file(file)]
     for file, path in entries.items():
         label = f"{place}/{file}"
         stem, kind = path.stem.lower(), path.suffix.lower()
@@ -204,7 +206,7 @@ def _campaign(folder: Path, name: str, machine: Machine | None, problems: Proble
             tables.add(stem, label, partial(read_source, path, label), problems)
         elif kind == ".xlsx":
             good &= _add_sheets(path, label, tables, machine, problems)
-        elif not _is_note(file):
+        elif not is_tracker_file(file) and not _is_note(file):
             _report_unknown_table(label, stem, kind, problems)
     if "temperatures" not in tables.getters and good:
         problems.error(
@@ -225,8 +227,42 @@ def _campaign(folder: Path, name: str, machine: Machine | None, problems: Proble
         read = load(getter, label, table, schema(table, machine), problems)
         if read is not None:
             loaded[table] = read
-    campaign = campaigns.build(name, place, settings, loaded, machine, problems, set(tables.getters) - set(loaded))
-    return campaign if good and len(loaded) == len(tables.getters) else None
+    unread = set(tables.getters) - set(loaded)
+    _join_exported(exported, loaded, unread, settings, place, problems)
+    campaign = campaigns.build(name, place, settings, loaded, machine, problems, unread)
+    return campaign if good and not unread else None
+
+
+def _join_exported(
+    exported: list[tuple[str, Path]],
+    loaded: dict[str, Table],
+    unread: set[str],
+    settings: CampaignSettings,
+    place: str,
+    problems: ProblemList,
+) -> None:
+    """Exported tracker points and the planned ones become the table `tracker`; what stays unread is added there."""
+    planned = loaded.pop("tracker_points", None)
+    if exported and "tracker" in loaded:
+        problems.error(
+            "two-sources",
+            exported[0][0],
+            f"the table tracker also stands in {loaded['tracker'].file}.",
+            "keep one of the two.",
+        )
+    elif exported and "tracker_points" not in unread:
+        joined = tracker_table(exported, planned, settings.tracker, place, problems)
+        if joined is not None:
+            loaded["tracker"] = joined
+        else:
+            unread.add("tracker")
+    elif planned is not None:
+        problems.warning(
+            "unknown-file",
+            planned.file,
+            "planned points are read only together with exported points (tracker*.txt); this file is not read.",
+            "add the exported points, or move it away.",
+        )
 
 
 def _add_sheets(path: Path, label: str, tables: _Tables, machine: Machine | None, problems: ProblemList) -> bool:

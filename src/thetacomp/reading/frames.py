@@ -24,6 +24,7 @@ def campaign_from_frames(
     *,
     temperatures: pd.DataFrame,
     sweeps: pd.DataFrame | None = None,
+    tracker: pd.DataFrame | None = None,
     drift: pd.DataFrame | None = None,
     parameters: pd.DataFrame | None = None,
     duty: pd.DataFrame | None = None,
@@ -37,6 +38,7 @@ def campaign_from_frames(
     frames = {
         "temperatures": temperatures,
         "sweeps": sweeps,
+        "tracker": tracker,
         "drift": drift,
         "parameters": parameters,
         "duty": duty,

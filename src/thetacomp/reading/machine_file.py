@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from thetacomp.campaign import CampaignSettings
+from thetacomp.campaign import CampaignSettings, TrackerSettings
 from thetacomp.machine import Axis, HeatSource, Machine, Sensor
 from thetacomp.reading.columns import TIME
 from thetacomp.reading.problems import ProblemList, UnreadableError, nearest, quoted, shortened
@@ -39,6 +39,12 @@ _MEANING = {
     "campaigns": ("the campaigns by rows", "[[recording.campaigns]] with name, first_row and last_row"),
     "first_row": ("the first data row of the campaign, counted from 0", "first_row = 0"),
     "last_row": ("the last data row of the campaign, counted from 0", "last_row = 1950"),
+    "tracker": ("the uncertainty of the tracker", "[tracker] with distance_sd_um = 5.0"),
+    "distance_sd_um": ("the standard deviation of a distance, in µm", "distance_sd_um = 5.0"),
+    "horizontal_sd_urad": ("the standard deviation of a horizontal angle, in µrad", "horizontal_sd_urad = 2.0"),
+    "vertical_sd_urad": ("the standard deviation of a vertical angle, in µrad", "vertical_sd_urad = 2.0"),
+    "columns": ("what the cells of a row of tracker*.txt hold", 'columns = ["group", "target", "x", "y", "z"]'),
+    "unit": ("the unit of x, y, z in tracker*.txt", 'unit = "mm"'),
     "recording": ("what the recording holds", "[recording] with file, time and time_unit"),
 }
 
@@ -173,7 +179,7 @@ def settings_from_toml(path: Path, file: str, problems: ProblemList) -> Campaign
     try:
         settings = CampaignSettings.model_validate(raw)
     except ValidationError as exc:
-        translate(exc, raw, {"": CampaignSettings}, file, problems)
+        translate(exc, raw, {"": CampaignSettings, "tracker": TrackerSettings}, file, problems)
         return None
     return settings if settings_plausible(settings, file, problems) else None
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from thetacomp.reading import campaigns
 from thetacomp.reading.checks import LARGEST_ERROR_UM
 from thetacomp.reading.columns import TIME, Meaning, Schema, match
 from thetacomp.reading.problems import ProblemList, UnreadableError
 from thetacomp.reading.sources import read_source
+from thetacomp.reading.sweep_table import directions
 from thetacomp.reading.tables import Table, convert
 from thetacomp.standards.iso230_2 import Readings
 
@@ -32,7 +32,7 @@ def read_positioning(path: Path) -> tuple[Readings, ...]:
     """
     problems = ProblemList()
     table = _table(Path(path), problems)
-    direction = campaigns.directions(table, problems) if table is not None else None
+    direction = directions(table, problems) if table is not None else None
     if table is not None:
         _filled(table, problems)
         _plausible(table, problems)

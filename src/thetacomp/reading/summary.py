@@ -13,7 +13,8 @@ from thetacomp.campaign import Campaign, MachineFolder
 class CampaignSummary:
     """Size of one campaign. `points` is the number of rows of each table; `duration_s` that of the temperatures.
 
-    `direction_given` is False where the approach of some sweep was inferred from the motion.
+    `direction_given` is False where the approach of some sweep was inferred from the motion. `tracker` says how tracker
+    points were brought into the machine frame.
     """
 
     name: str
@@ -22,6 +23,7 @@ class CampaignSummary:
     points: dict[str, int]
     sweeps: dict[str, int]
     direction_given: bool = True
+    tracker: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,4 +66,5 @@ def _campaign(campaign: Campaign) -> CampaignSummary:
         points={name: len(table.t_s) for name, table in tables.items() if table is not None},
         sweeps=sweeps,
         direction_given=campaign.sweeps is None or campaign.sweeps.direction_given,
+        tracker=campaign.tracker.notes if campaign.tracker is not None else (),
     )

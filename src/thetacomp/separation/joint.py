@@ -7,7 +7,8 @@ Model of a measured point i in sweep k (paper, equations 1 and 2, every point at
 `I = S = 0` in the cold block. Between sweeps I and S change; inside a sweep they move with the rate of the parabola
 through the neighbouring states, which is linear in the unknowns, so one least-squares problem holds it all. `α_k` is
 an angle error of the instrument common to a sweep: it cannot be told from a slope and enters as a random effect of
-known standard deviation, which widens the stated intervals by just what it costs.
+known standard deviation, which widens the stated intervals by just what it costs. Tracker points bring a second one:
+what the tie to the foundation leaves in a sweep, an offset and a slope of known covariance. They also bring weights.
 """
 
 from __future__ import annotations
@@ -35,7 +36,11 @@ HUBER_SIGMA = 1.345
 
 @dataclass(frozen=True)
 class ComponentData:
-    """Points of one component of one axis, n points; sweeps counted 0 … K-1 and `cold` (K,) marking the cold ones."""
+    """Points of one component of one axis, n points; sweeps counted 0 … K-1 and `cold` (K,) marking the cold ones.
+
+    `weight` (n,) has the mean 1. `tie` (K, 2, 2) is the covariance of offset (µm, at the sweep's mean position) and
+    slope (µm/m) that a sweep has in common.
+    """
 
     position_mm: Floats
     t_s: Floats
@@ -46,6 +51,8 @@ class ComponentData:
     cold: Bools
     p0_mm: float
     angle_sd_urad: float
+    weight: Floats | None = None
+    tie: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -110,21 +117,41 @@ def _rate_matrix(times: Floats) -> Floats:
     return rates
 
 
-def _angle_columns(data: ComponentData) -> Floats:
-    """One column a sweep: distance from the sweep's mean position in metres, (n, K)."""
-    columns = np.zeros((len(data.position_mm), len(data.middle_s)))
-    for number in range(len(data.middle_s)):
+def _point_weight(data: ComponentData) -> Floats:
+    return np.ones(len(data.error_um)) if data.weight is None else data.weight
+
+
+def _common_columns(data: ComponentData) -> tuple[Floats, Floats]:
+    """What the points of a sweep share: columns (n, q), and the inverse of its covariance (q, q).
+
+    A slope for every sweep (lever in metres from the sweep's mean position), and an offset where there is a tie.
+    """
+    n, count = len(data.position_mm), len(data.middle_s)
+    if data.tie is None and data.angle_sd_urad <= 0:
+        return np.zeros((n, 0)), np.zeros((0, 0))
+    offset, slope = np.zeros((n, count)), np.zeros((n, count))
+    for number in range(count):
         rows = data.sweep == number
         if rows.any():
-            columns[rows, number] = (data.position_mm[rows] - data.position_mm[rows].mean()) / 1000.0
-    return columns
+            offset[rows, number] = 1.0
+            slope[rows, number] = (data.position_mm[rows] - data.position_mm[rows].mean()) / 1000.0
+    if data.tie is None:
+        return slope, np.eye(count) / data.angle_sd_urad**2
+    # Known better than a thousandth of a µm is known exactly: the floor keeps the inverse finite.
+    shared = data.tie + np.diag([1e-6, data.angle_sd_urad**2 + 1e-6])
+    precision = np.zeros((2 * count, 2 * count))
+    for number, inverse in enumerate(np.linalg.inv(shared)):
+        pair = [number, count + number]
+        precision[np.ix_(pair, pair)] = inverse
+    return np.hstack([offset, slope]), precision
 
 
 @dataclass(frozen=True)
 class _System:
     design: Floats
     prior: Floats  # roughness of the geometry, in units of 1/noise variance
-    angle: slice
+    precision: Floats  # of what sweeps have in common
+    common: slice
     geometry: slice
     intercepts: slice
     slopes: slice
@@ -133,13 +160,19 @@ class _System:
 def _system(data: ComponentData, curve: Curve, directions: Sequence[int], states: Ints, extra: Floats) -> _System:
     geometry = direction_design(curve, data.position_mm, data.direction, directions)
     weights = state_weights(data, states) if len(states) else np.zeros((len(data.t_s), 0))
-    angles = _angle_columns(data) if data.angle_sd_urad > 0 else np.zeros((len(data.t_s), 0))
-    design = np.hstack([geometry, weights, weights * lever_m(data)[:, None], angles, extra])
-    g, m, k = geometry.shape[1], len(states), angles.shape[1]
+    common, precision = _common_columns(data)
+    design = np.hstack([geometry, weights, weights * lever_m(data)[:, None], common, extra])
+    g, m, k = geometry.shape[1], len(states), common.shape[1]
     prior = np.zeros((design.shape[1], design.shape[1]))
     prior[:g, :g] = direction_penalty(curve, directions)
     return _System(
-        design, prior, slice(g + 2 * m, g + 2 * m + k), slice(0, g), slice(g, g + m), slice(g + m, g + 2 * m)
+        design=design,
+        prior=prior,
+        precision=precision,
+        common=slice(g + 2 * m, g + 2 * m + k),
+        geometry=slice(0, g),
+        intercepts=slice(g, g + m),
+        slopes=slice(g + m, g + 2 * m),
     )
 
 
@@ -153,18 +186,20 @@ class _Solution:
     rss: float
 
 
-def _solve(system: _System, target: Floats, weight: Floats, angle_sd_urad: float) -> _Solution:
-    """Weighted least squares with the priors; the noise variance and the prior of the angles agree at the end."""
-    design = system.design
+def _solve(system: _System, data: ComponentData, robust: Floats) -> _Solution:
+    """Weighted least squares with the priors; the noise variance and the priors of the sweeps agree at the end.
+
+    `robust` (n,) takes weight from outliers, on top of the stated weights.
+    """
+    design, target = system.design, data.error_um
+    weight = robust * _point_weight(data)
     gram = design.T @ (design * weight[:, None])
     right = design.T @ (target * weight)
     variance = float(np.average((target - np.average(target, weights=weight)) ** 2, weights=weight)) + 1e-12
-    effective = float(weight.sum())
+    effective = float(robust.sum())
     for _ in range(50):
         normal = gram + system.prior
-        if angle_sd_urad > 0:
-            index = np.arange(system.angle.start, system.angle.stop)
-            normal[index, index] += variance / angle_sd_urad**2
+        normal[system.common, system.common] += variance * system.precision
         inverse = _inverse(normal)
         coefficients = inverse @ right
         residual = target - design @ coefficients
@@ -194,10 +229,12 @@ def _robust_scale(residual: Floats, parameters: float) -> float:
 def find_outliers(data: ComponentData, curve: Curve, directions: Sequence[int], states: Ints) -> Bools:
     """Points more than 4.5 robust standard deviations from a Huber fit, (n,)."""
     system = _system(data, curve, directions, states, np.zeros((len(data.t_s), 0)))
+    stated = np.sqrt(_point_weight(data))
     weight = np.ones(len(data.error_um))
     for _ in range(30):
-        solution = _solve(system, data.error_um, weight, data.angle_sd_urad)
-        scaled = np.abs(solution.residual) / _robust_scale(solution.residual, len(weight) - solution.dof)
+        solution = _solve(system, data, weight)
+        own = stated * solution.residual
+        scaled = np.abs(own) / _robust_scale(own, len(weight) - solution.dof)
         new_weight = np.minimum(1.0, HUBER_SIGMA / np.maximum(scaled, 1e-12))
         done = np.max(np.abs(new_weight - weight)) < 1e-3
         weight = new_weight
@@ -205,8 +242,8 @@ def find_outliers(data: ComponentData, curve: Curve, directions: Sequence[int], 
             break
     outlier = scaled > OUTLIER_SIGMA
     for _ in range(5):
-        solution = _solve(system, data.error_um, (~outlier).astype(float), data.angle_sd_urad)
-        again = np.abs(solution.residual) > OUTLIER_SIGMA * solution.noise_sd_um
+        solution = _solve(system, data, (~outlier).astype(float))
+        again = np.abs(stated * solution.residual) > OUTLIER_SIGMA * solution.noise_sd_um
         if np.array_equal(again, outlier):
             break
         outlier = again
@@ -224,7 +261,7 @@ def fit_component(data: ComponentData) -> JointFit:
         good = ~outlier
         curve = choose_curve(data.position_mm[good], data.direction[good], data.sweep[good], data.error_um[good])
     system = _system(data, curve, directions, states, np.zeros((len(data.t_s), 0)))
-    solution = _solve(system, data.error_um, (~outlier).astype(float), data.angle_sd_urad)
+    solution = _solve(system, data, (~outlier).astype(float))
     se = np.sqrt(np.diag(solution.covariance))
     g = system.geometry
     line_part = slice(system.intercepts.start, system.slopes.stop)
@@ -262,8 +299,8 @@ def shape_change(data: ComponentData, fit: JointFit) -> tuple[float, int, Floats
     blocks = [term * (data.sweep == state) for state in fit.states for term in terms]
     extra = np.column_stack(blocks)
     system = _system(data, fit.curve, fit.directions, fit.states, extra)
-    rich = _solve(system, data.error_um, good.astype(float), data.angle_sd_urad)
-    tail = slice(system.angle.stop, system.design.shape[1])
+    rich = _solve(system, data, good.astype(float))
+    tail = slice(system.common.stop, system.design.shape[1])
     change = extra @ rich.coefficients[tail]
     variance = np.einsum("ij,jk,ik->i", extra, rich.covariance[tail, tail], extra)
     return rich.rss, extra.shape[1], change, np.sqrt(np.maximum(variance, 0.0))

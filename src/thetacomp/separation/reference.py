@@ -2,37 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from thetacomp.campaign import Campaign, Floats, Ints, SweepPoints
+from thetacomp.campaign import Campaign, Floats
+from thetacomp.cold_block import cold_block_length, sweep_table
 from thetacomp.errors import AnalysisError
 from thetacomp.separation.result import Bools
 
 DRIFT_WINDOW_S = 300.0
-
-
-@dataclass(frozen=True)
-class SweepTable:
-    """One row a sweep, in order of time: its number, axis, first and last moment."""
-
-    sweep: Ints
-    axis: tuple[str, ...]
-    start_s: Floats
-    end_s: Floats
-
-
-def sweep_table(points: SweepPoints) -> SweepTable:
-    """Start and end of every sweep."""
-    numbers = np.unique(points.sweep)
-    rows = [np.flatnonzero(points.sweep == number) for number in numbers]
-    return SweepTable(
-        sweep=numbers,
-        axis=tuple(points.axis[row[0]] for row in rows),
-        start_s=np.array([points.t_s[row].min() for row in rows]),
-        end_s=np.array([points.t_s[row].max() for row in rows]),
-    )
 
 
 def reference_time_s(campaign: Campaign) -> float:
@@ -45,25 +22,13 @@ def reference_time_s(campaign: Campaign) -> float:
         return campaign.settings.reference_s
     if campaign.sweeps is not None:
         table = sweep_table(campaign.sweeps)
-        return float(table.end_s[_cold_block_length(table.axis) - 1])
+        return float(table.end_s[cold_block_length(table.axis) - 1])
     for data in (campaign.parameters, campaign.drift):
         if data is not None:
             return float(data.t_s.min())
     raise AnalysisError(
         f"campaign {campaign.name}: there are no sweeps, parameters or drift, so there is nothing to refer to."
     )
-
-
-def _cold_block_length(axes: tuple[str, ...]) -> int:
-    if len(set(axes)) == 1:
-        return 1
-    done: set[str] = set()
-    for index, axis in enumerate(axes):
-        if index and axis != axes[index - 1]:
-            done.add(axes[index - 1])
-        if axis in done:
-            return index
-    return len(axes)
 
 
 def drift_window(t_s: Floats, reference_s: float) -> Bools:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import special
 
 from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Parameters, SweepPoints
+from thetacomp.cold_block import sweep_table
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine
 from thetacomp.separation.joint import ComponentData, JointFit, fit_component, shape_change
@@ -13,7 +14,6 @@ from thetacomp.separation.reference import (
     drift_window,
     reference_time_s,
     refuse_reference_in_a_sweep,
-    sweep_table,
 )
 from thetacomp.separation.result import ComponentSeparation, GeometryCurve, LinearityTest, Points
 
@@ -88,6 +88,8 @@ def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[C
             cold=cold,
             p0_mm=float(np.mean(axis.travel_mm)),
             angle_sd_urad=(campaign.settings.instrument_u_um_per_m or 0.0) / 2.0,
+            weight=_weight(points.noise_um[usable, index]) if points.noise_um is not None else None,
+            tie=points.tie_covariance[own, index] if points.tie_covariance is not None else None,
         )
         if len(np.unique(data.position_mm)) < 3:
             raise AnalysisError(
@@ -98,6 +100,12 @@ def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[C
     return results
 
 
+def _weight(noise_um: Floats) -> Floats:
+    """Weights with the mean 1 from the standard deviations of the points."""
+    weight = 1.0 / noise_um**2
+    return np.asarray(weight / weight.mean())
+
+
 def _refuse_what_cannot_be_separated(axis: Axis, campaign: Campaign, points: SweepPoints) -> None:
     """A common datum and a change of station need ties between sweeps that a single axis does not give."""
     if campaign.settings.datum == "common":
@@ -105,7 +113,7 @@ def _refuse_what_cannot_be_separated(axis: Axis, campaign: Campaign, points: Swe
             f'campaign {campaign.name}: datum = "common" cannot be kept by sweeps, which are referred to their own cold'
             ' block. Fix: set datum = "campaign", or give drift.csv or parameters.csv.'
         )
-    if points.station is not None:
+    if points.station is not None and points.tie_covariance is None:
         used = dict.fromkeys(s for s, name in zip(points.station, points.axis, strict=True) if name == axis.name)
         if len(used) > 1:
             raise AnalysisError(
@@ -144,7 +152,8 @@ def _component(
             f"points scatter by {fit.noise_sd_um:.1f} µm (one standard deviation), more than twice what the stated"
             f" uncertainty of {settings.instrument_u_um:g} µm (expanded) allows"
         )
-    if settings.instrument_u_um_per_m is None:
+    points = campaign.sweeps
+    if settings.instrument_u_um_per_m is None and (points is None or points.tie_covariance is None):
         own_notes.append(
             "instrument_u_um_per_m is not stated: the standard errors hold the scatter of the points only,"
             " not an angle error common to a sweep"

@@ -1,0 +1,24 @@
+"""What a tracker campaign cannot give, or gives with a doubt, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from thetacomp.errors import AnalysisError
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something doubtful in the tracker points: what was found, and how to mend it."""
+
+    code: str
+    message: str
+    fix: str
+
+
+class FrameError(AnalysisError):
+    """The points do not determine a frame or a tie. `finding` says what is missing and why."""
+
+    def __init__(self, code: str, message: str, fix: str) -> None:
+        self.finding = Finding(code, message, fix)
+        super().__init__(f"{message} Fix: {fix}")
