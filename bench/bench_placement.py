@@ -32,7 +32,8 @@ def make_field(seed: int = 1) -> tuple[Field, np.ndarray]:
     waves = rng.normal(size=(3, MODES)) * 0.6 * np.sqrt(np.arange(1, MODES + 1) / 10)
     strength = 6.0 / np.arange(1, MODES + 1) ** 1.5
     rows = np.cos(places_m @ waves + rng.uniform(0, 2 * np.pi, MODES)) * strength
-    outputs = rng.normal(size=(OUTPUTS, MODES)) * 40.0 * strength / strength[0]
+    # Weak modes may move the tool as much as strong ones: a column bends from a small gradient.
+    outputs = rng.normal(size=(OUTPUTS, MODES)) * 40.0 * rng.permutation(strength) / strength[0]
     return Field(rows, outputs), places_m
 
 
@@ -95,7 +96,7 @@ def main() -> None:
         same = "the same places" if plain == greedy(few, NOISE_K, SENSORS, goal).tolist() else "OTHER PLACES"
         print(
             f"  straightforward, {goal}, {FEW:,} candidates: {plain_s:.2f} s (ours {ours_s:.4f} s, {same});"
-            f" for all candidates {plain_s * CANDIDATES / FEW:.0f} s"
+            f" scaled to all candidates {plain_s * CANDIDATES / FEW:.0f} s"
         )
 
 

@@ -162,3 +162,4 @@ def test_the_command_writes_a_machine(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert check_folder(tmp_path / "m")[1] == ()
     assert (tmp_path / "m-truth" / "machine.png").exists()
+    assert (tmp_path / "m-truth" / "machine.svg").exists()

@@ -14,9 +14,13 @@ from thetacomp.twin.virtual import VirtualMachine
 
 _CHOSEN = "#ffd54a"
 _COLORS = {
-    "displacement": style.BLUE, "modes": style.GREEN, "sensitivity": style.AMBER, "linearity": style.PURPLE,
-}  # fmt: skip
-_MARKERS = {"displacement": "o", "modes": "s", "sensitivity": "^", "linearity": "D"}
+    "displacement": style.BLUE,
+    "exchange": style.SKY,
+    "modes": style.GREEN,
+    "sensitivity": style.AMBER,
+    "linearity": style.PURPLE,
+}
+_MARKERS = {"displacement": "o", "exchange": "v", "modes": "s", "sensitivity": "^", "linearity": "D"}
 _PANELS = ("X", "Y", "Z", "all three directions")
 
 

@@ -145,16 +145,13 @@ def machine_figure(
     degC = np.concatenate(list(shown.degC.values()))
     scale = ScalarMappable(Normalize(float(degC.min()), float(degC.max())), HEAT)
     step = isotherm_step(float(np.ptp(degC)))
-    spots = [_spot(shown, mark) for mark in marks]
+    spots = [spot_m(shown, mark) for mark in marks]
     seen = np.array([[bool(v.canvas.sees((spot @ v.axes_m)[None])[0]) for v in views] for spot in spots])
     seen = seen.reshape(len(spots), len(views))
     home = seen.argmax(axis=1)
     size = np.max([view.high - view.low for view in views], axis=0)
-    for k, (axes, view, (caption, _)) in enumerate(zip(grid, views, eyes, strict=True)):
+    for axes, view, (caption, _) in zip(grid, views, eyes, strict=True):
         _draw_view(axes, view, scale, step, size)
-        own = [i for i in range(len(marks)) if home[i] == k]
-        figure.canvas.draw()
-        _draw_marks(axes, view, [(marks[i], spots[i] @ view.axes_m, bool(seen[i, k])) for i in own])
         axes.set_title(caption, fontsize=9.5, loc="center")
     bar = figure.colorbar(scale, ax=list(grid), shrink=0.55, pad=0.015, aspect=24)
     bar.set_label("temperature (°C)", fontsize=9)
@@ -170,6 +167,10 @@ def machine_figure(
     words = "\n".join(textwrap.fill(part, width) for part in parts)
     figure.suptitle(title, x=0.012, ha="left", fontsize=11, fontweight="bold")
     figure.supxlabel(words, x=0.012, ha="left", fontsize=8.5)
+    figure.draw_without_rendering()  # labels are arranged in pixels: everything must have its place before
+    for k, (axes, view) in enumerate(zip(grid, views, strict=True)):
+        own = [i for i in range(len(marks)) if home[i] == k]
+        _draw_marks(axes, view, [(marks[i], spots[i] @ view.axes_m, bool(seen[i, k])) for i in own])
     return figure
 
 
@@ -270,7 +271,7 @@ def _draw_marks(axes: Axes, view: View, marks: Sequence[tuple[Mark, Floats, bool
         )  # fmt: skip
 
 
-def _spot(shown: WarmMachine, mark: Mark) -> Floats:
+def spot_m(shown: WarmMachine, mark: Mark) -> Floats:
     """Where a mark is on the drawn machine, (3,) in m: it moves with the body that it sits on."""
     here = np.array(mark.at_mm) * 1e-3
     body = _body_of(shown.machine, mark.place)

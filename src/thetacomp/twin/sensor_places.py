@@ -18,6 +18,7 @@ from thetacomp.twin.placement import (
     Spacing,
     best_subset,
     by_sensitivity,
+    exchange,
     expected_squares_um2,
     field_of_modes,
     greedy,
@@ -32,6 +33,7 @@ _CHECK_CANDIDATES, _CHECK_SIZES = 24, (1, 2, 3, 4)
 
 STRATEGIES: Mapping[str, str] = {
     "displacement": "observability: least uncertainty of the tool",
+    "exchange": "observability: the same, then exchanged as a set",
     "modes": "observability: most information on the thermal modes",
     "sensitivity": "maximum sensitivity",
     "linearity": "nearest linearity",
@@ -131,8 +133,10 @@ def place_sensors(
     spacing = Spacing(free.at_mm, mounting.apart_mm)
     field = field_of_modes(rows, outputs, covariance, MODES)
     looped = field_of_modes(rows, outputs, _moment(loops, loops.mean(axis=0)), MODES)
+    by_tool = greedy(field, noise_K, count, "displacement", spacing)
     chosen = {
-        "displacement": greedy(field, noise_K, count, "displacement", spacing),
+        "displacement": by_tool,
+        "exchange": exchange(field, noise_K, by_tool, spacing),
         "modes": greedy(field, noise_K, count, "information", spacing),
         "sensitivity": by_sensitivity(snapshots.responses_K_per_kW(machine, free.state), count, spacing),
         "linearity": greedy(looped, noise_K, count, "displacement", spacing),
