@@ -219,7 +219,7 @@ def test_a_sensor_behind_a_casting_is_half_transparent(coarse: VirtualMachine, p
 def test_sensors_move_with_the_body_they_sit_on(coarse: VirtualMachine) -> None:
     still = np.zeros(coarse.system.states)
     marks = {m.label: m for m in sensor_marks(coarse)}
-    low, high = (warm_machine(coarse, still, still, {**MIDDLE, "Y": y}) for y in (0.0, 3000.0))
+    low, high = (warm_machine(coarse, still, still, {**MIDDLE, "Y": y}, 0.0) for y in (0.0, 3000.0))
     rise = {name: picture.spot_m(high, m) - picture.spot_m(low, m) for name, m in marks.items()}
     assert rise["θ11"] == pytest.approx([0.0, 3.0, 0.0])  # nut of the headstock
     assert rise["θ1"] == pytest.approx([0.0, 3.0, 0.0])  # on the ram

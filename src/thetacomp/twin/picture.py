@@ -92,7 +92,7 @@ def warm_machine(
     rise_K: Floats,
     change_K: Floats,
     positions_mm: Mapping[str, float],
-    tool_length_mm: float = 0.0,
+    tool_length_mm: float,
 ) -> WarmMachine:
     """Temperatures (states,) above the reference, and the displacement that a change of temperatures makes."""
     moved = machine.displacement_m(change_K, positions_mm)
@@ -107,8 +107,8 @@ def warm_machine(
     return WarmMachine(machine, _places(machine, positions_mm), moved, degC, drawn, largest_m * 1e6, tool)
 
 
-def draw_machine(machine: VirtualMachine, record: Record, path: Path, tool_length_mm: float = 0.0) -> None:
-    """Draw the end of the warm-up of a campaign against its cold reference and save it as PNG or SVG."""
+def draw_machine(machine: VirtualMachine, record: Record, tool_length_mm: float, *paths: Path) -> None:
+    """Draw the end of the warm-up of a campaign against its cold reference and save it as PNG and SVG, by the paths."""
     truth, history = record.truth, record.history
     busy = np.flatnonzero(record.work.rpm > 0)
     warm_s = record.begin_s + STEP_S * (float(busy[-1]) + 1 if len(busy) else len(record.work.on))
@@ -118,7 +118,9 @@ def draw_machine(machine: VirtualMachine, record: Record, path: Path, tool_lengt
     shown = warm_machine(machine, warm, warm - cold, positions, tool_length_mm)
     hours = (warm_s - record.begin_s) / 3600
     title = f"{machine.description.name}, campaign {record.plan.name}, {hours:.1f} h after the cold start"
-    save_figure(machine_figure(shown, title, sensor_marks(machine)), path)
+    figure = machine_figure(shown, title, sensor_marks(machine))
+    for path in paths:
+        save_figure(figure, path)
 
 
 def sensor_marks(machine: VirtualMachine, color: str = "white") -> tuple[Mark, ...]:
@@ -157,21 +159,25 @@ def machine_figure(
     bar.set_label("temperature (°C)", fontsize=9)
     bar.ax.yaxis.set_major_locator(MultipleLocator(step))
     bar.ax.tick_params(labelsize=8)
-    tool = ", ".join(f"{d} {u:+.0f}" for d, u in zip(AXES, shown.tool_um, strict=True)).replace("-", "\N{MINUS SIGN}")
-    parts = [
-        f"Displacement since cold × {shown.drawn:,.0f}: largest {shown.largest_um:.0f} µm, at the tool {tool} µm."
-        f" Grey: cold shape. Dark lines: isotherms, {step:g} K apart.",
-        *(["Dots: sensors; half-transparent where a casting hides them."] if marks else []),
-    ]
-    width = int(_LETTERS_PER_IN * figure.get_figwidth())
-    words = "\n".join(textwrap.fill(part, width) for part in parts)
     figure.suptitle(title, x=0.012, ha="left", fontsize=11, fontweight="bold")
-    figure.supxlabel(words, x=0.012, ha="left", fontsize=8.5)
+    figure.supxlabel(_words(shown, step, len(marks) > 0, size_in[0]), x=0.012, ha="left", fontsize=8.5)
     figure.draw_without_rendering()  # labels are arranged in pixels: everything must have its place before
     for k, (axes, view) in enumerate(zip(grid, views, strict=True)):
         own = [i for i in range(len(marks)) if home[i] == k]
         _draw_marks(axes, view, [(marks[i], spots[i] @ view.axes_m, bool(seen[i, k])) for i in own])
     return figure
+
+
+def _words(shown: WarmMachine, step_K: float, marked: bool, width_in: float) -> str:
+    """What stands below the picture."""
+    tool = ", ".join(f"{d} {u:+.0f}" for d, u in zip(AXES, shown.tool_um, strict=True)).replace("-", "\N{MINUS SIGN}")
+    parts = [
+        f"Displacement since cold × {shown.drawn:,.0f}: largest {shown.largest_um:.0f} µm, at the tool {tool} µm."
+        f" Grey: cold shape. Dark lines: isotherms, {step_K:g} K apart."
+    ]
+    if marked:
+        parts.append("Dots: sensors; half-transparent where a casting hides them.")
+    return "\n".join(textwrap.fill(part, int(_LETTERS_PER_IN * width_in)) for part in parts)
 
 
 def save_figure(figure: Figure, path: Path) -> None:
