@@ -136,12 +136,13 @@ def test_the_hard_preset_changes_the_cooling_and_breaks_sensors(coarse: VirtualM
 def test_the_picture_is_drawn_without_a_display(
     coarse: VirtualMachine, written: tuple[Path, tuple[Record, ...]], tmp_path: Path
 ) -> None:
-    draw_machine(coarse, written[1][0], tmp_path / "machine.png")
-    draw_machine(coarse, written[1][0], tmp_path / "again.png")
+    draw_machine(coarse, written[1][0], 150.0, tmp_path / "machine.png", tmp_path / "machine.svg")
+    draw_machine(coarse, written[1][0], 150.0, tmp_path / "again.png")
     data = (tmp_path / "machine.png").read_bytes()
     assert data.startswith(b"\x89PNG")
     assert len(data) > 50_000
     assert data == (tmp_path / "again.png").read_bytes()
+    assert "Displacement since cold" in (tmp_path / "machine.svg").read_text(encoding="utf-8")
 
 
 def test_the_command_refuses_a_filled_folder_and_an_unknown_preset_at_once(tmp_path: Path) -> None:
@@ -162,3 +163,4 @@ def test_the_command_writes_a_machine(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert check_folder(tmp_path / "m")[1] == ()
     assert (tmp_path / "m-truth" / "machine.png").exists()
+    assert (tmp_path / "m-truth" / "machine.svg").exists()

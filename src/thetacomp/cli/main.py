@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
-from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, plan, predict, twin
+from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, place, plan, predict, twin
 
 app = typer.Typer(
     name="thetacomp",
@@ -42,6 +42,7 @@ app.command("predict")(predict.predict)
 app.command("export")(export.export)
 app.command("iso230")(iso230.iso230)
 app.command("twin")(twin.twin)
+app.command("place")(place.place)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def _work(out: Path, preset: str, seed: int, campaigns: int) -> Outcome:
     made = make_twin(machine, conditions, seed)
     records = write_twin(out, made, plan_campaigns(made, campaigns))
     picture = truth_folder(out) / "machine.png"
-    draw_machine(machine, records[0], picture)
+    draw_machine(machine, records[0], conditions.work.tool_length_mm, picture, picture.with_suffix(".svg"))
     lines = [f"{out}: {machine.description.name}, preset {conditions.name}, seed {seed}"]
     for record in records:
         points = int((record.truth.axis >= 0).sum())

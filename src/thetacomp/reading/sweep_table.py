@@ -84,6 +84,7 @@ def _axes_known(table: Table, axis: tuple[str, ...], machine: Machine, problems:
 
 
 def directions(table: Table, problems: ProblemList) -> Ints | None:
+    """Approach of every row, +1, -1 or 0 (empty); None where the column is missing or wrong."""
     texts = table.texts.get("direction")
     if texts is None:
         return None

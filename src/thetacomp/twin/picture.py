@@ -1,104 +1,307 @@
-"""A picture of the warm machine: temperature as colour, displacement exaggerated, drawn without a display."""
+"""Pictures of the warm machine: temperature as colour, displacement exaggerated, sensors, drawn without a display."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import Normalize
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from thetacomp.twin.campaigns import Record
-from thetacomp.twin.mesh import BodyMesh, Floats, Ints
+from thetacomp.twin.labels import Label, arrange
+from thetacomp.twin.mesh import AXES, BodyMesh, Floats, Ints
 from thetacomp.twin.operation import STEP_S
+from thetacomp.twin.raster import Canvas, contour_lines, paint, smaller
 from thetacomp.twin.virtual import VirtualMachine
 
-_SPLIT = 4  # each element face is painted as so many squares a side, for smooth colours
-_EDGE_IN_FRONT_M = 0.02
-_LARGEST_DRAWN_M = 0.6  # the largest displacement on the picture
-# The eye stands in front of the machine on the headstock's side, somewhat above it.
-_EYE = np.array([-0.62, 0.42, -0.66])
-_LIGHT = np.array([-0.35, 0.85, -0.4])
+# Where the eye stands: in front of the machine on the headstock's side, and behind it on the other side.
+FRONT, BACK = (-0.62, 0.42, -0.66), (0.62, 0.42, 0.66)
+_SHOT_FROM_ABOVE_LEFT = np.array([-0.5, 0.85, -0.2])  # light, as right, up, towards the eye
+_LARGEST_DRAWN_M = 0.4
+_PIXELS, _OVERSAMPLING = 900, 2
+_EDGE_PIECES = 12
+_LETTERS_PER_IN = 15.5  # of the words below a picture
+_LABEL_PT = 7.5
+_MOST_ISOTHERMS = 14
+# Turbo without its near-black ends, on which lines and shading would drown.
+HEAT = LinearSegmentedColormap.from_list("thetacomp_heat", matplotlib.colormaps["turbo"](np.linspace(0.10, 0.94, 128)))
 
 
-def draw_machine(machine: VirtualMachine, record: Record, path: Path) -> None:
-    """Draw the end of the warm-up of a campaign against its cold reference and save it as PNG or SVG."""
+@dataclass(frozen=True)
+class Mark:
+    """A sensor on the picture: `place` is a body, patch, lump or rod, `at_mm` its place with all axes at zero."""
+
+    label: str
+    place: str
+    at_mm: tuple[float, float, float]
+    color: str = "white"
+
+
+@dataclass(frozen=True)
+class View:
+    """The machine from one side. `axes_m` (3, 3) turn machine coordinates into right, up and towards the eye.
+
+    `edges` (n, 2, 3) of the drawn shape are in those, `ghosts` (m, 2, 2) of the cold shape are flat.
+    """
+
+    axes_m: Floats
+    canvas: Canvas
+    edges: Floats
+    ghosts: Floats
+
+    @property
+    def low(self) -> Floats:
+        """Left and low end of what is drawn, (2,)."""
+        return np.asarray(np.minimum(self.ghosts.min(axis=(0, 1)), self.edges.min(axis=(0, 1))[:2]))
+
+    @property
+    def high(self) -> Floats:
+        """Right and high end of what is drawn, (2,)."""
+        return np.asarray(np.maximum(self.ghosts.max(axis=(0, 1)), self.edges.max(axis=(0, 1))[:2]))
+
+
+@dataclass(frozen=True)
+class WarmMachine:
+    """A machine at one position, with its temperatures and the displacement that it is drawn with.
+
+    `where_m` are the cold nodes of every body, `moved_m` their displacement, `degC` their temperature; `drawn` is
+    the exaggeration. `tool_um` is the displacement of the tool (X, Y, Z).
+    """
+
+    machine: VirtualMachine
+    where_m: Mapping[str, Floats]
+    moved_m: Mapping[str, Floats]
+    degC: Mapping[str, Floats]
+    drawn: float
+    largest_um: float
+    tool_um: Floats
+
+
+def warm_machine(
+    machine: VirtualMachine,
+    rise_K: Floats,
+    change_K: Floats,
+    positions_mm: Mapping[str, float],
+    tool_length_mm: float,
+) -> WarmMachine:
+    """Temperatures (states,) above the reference, and the displacement that a change of temperatures makes."""
+    moved = machine.displacement_m(change_K, positions_mm)
+    largest_m = max(float(np.linalg.norm(u, axis=1).max()) for u in moved.values())
+    degC = {}
+    for name in machine.meshes:
+        start = machine.system.offset[name]
+        degC[name] = rise_K[start : start + machine.system.size[name]] + machine.description.reference_degC
+    at = {name: np.array([value]) for name, value in positions_mm.items()}
+    tool = machine.tool_error_um((machine.rows[machine.tool_rows] @ change_K)[None], at, tool_length_mm)[0, :3]
+    drawn = _round_figure(_LARGEST_DRAWN_M / largest_m) if largest_m > 0 else 1.0
+    return WarmMachine(machine, _places(machine, positions_mm), moved, degC, drawn, largest_m * 1e6, tool)
+
+
+def draw_machine(machine: VirtualMachine, record: Record, tool_length_mm: float, *paths: Path) -> None:
+    """Draw the end of the warm-up of a campaign against its cold reference and save it as PNG and SVG, by the paths."""
     truth, history = record.truth, record.history
     busy = np.flatnonzero(record.work.rpm > 0)
     warm_s = record.begin_s + STEP_S * (float(busy[-1]) + 1 if len(busy) else len(record.work.on))
     states = [history.states[int(np.argmin(np.abs(history.kept_s - t)))] for t in (record.begin_s, warm_s)]
     cold, warm = (machine.reduced.shapes @ state for state in states)
     positions = {name: float(np.median(p[truth.axis == -1])) for name, p in truth.positions_mm.items()}
-    title = (
-        f"{machine.description.name}, {record.plan.name}: {(warm_s - record.begin_s) / 3600:.1f} h after the cold start"
-    )
-    draw_state(machine, warm, warm - cold, positions, title, path)
+    shown = warm_machine(machine, warm, warm - cold, positions, tool_length_mm)
+    hours = (warm_s - record.begin_s) / 3600
+    title = f"{machine.description.name}, campaign {record.plan.name}, {hours:.1f} h after the cold start"
+    figure = machine_figure(shown, title, sensor_marks(machine))
+    for path in paths:
+        save_figure(figure, path)
 
 
-def draw_state(
-    machine: VirtualMachine, rise_K: Floats, change_K: Floats, positions_mm: Mapping[str, float], title: str, path: Path
-) -> None:
-    """Draw temperatures (states,) above the reference, and the displacement that a change of temperatures makes."""
-    moved = machine.displacement_m(change_K, positions_mm)
-    largest_m = max(float(np.linalg.norm(u, axis=1).max()) for u in moved.values())
-    exaggeration = _round_figure(_LARGEST_DRAWN_M / largest_m) if largest_m > 0 else 1.0
-    right, up, towards = _camera()
-    view = np.stack([right, up], axis=1)
-    scenes = []
-    for name, where in _places(machine, positions_mm).items():
-        start = machine.system.offset[name]
-        degC = rise_K[start : start + machine.system.size[name]] + machine.description.reference_degC
-        scenes.append(_scene(machine.meshes[name], where, exaggeration * moved[name], degC, view, towards))
-    words = (
-        f"{title}\ndisplacement since cold × {exaggeration:,.0f}, largest {largest_m * 1e6:.0f} µm\n"
-        "grey lines: cold shape; sensors are shown through the castings"
-    )
-    _paint(scenes, _dots(machine, positions_mm, view), words, path)
-
-
-@dataclass(frozen=True)
-class _Scene:
-    """One body on the picture: n small squares (n, 4, 2) with depth, temperature and light; its edges as m pieces
-    (m, 2, 2) with depth; and the edges of the cold shape."""
-
-    squares: Floats
-    depth: Floats
-    degC: Floats
-    light: Floats
-    edges: Floats
-    edge_depth: Floats
-    ghost: Floats
-
-
-def _scene(mesh: BodyMesh, where: Floats, moved: Floats, degC: Floats, view: Floats, towards: Floats) -> _Scene:
-    bent, faces = where + moved, _visible(mesh, towards)
-    squares, heat = _subdivide(bent, degC, faces)
-    lit = np.clip(mesh.faces.normal[_shown(mesh, towards)] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0, 1)
-    creases = _creases(mesh, faces)
-    s = np.linspace(0.0, 1.0, _SPLIT + 1)[:, None, None]
-    line = bent[creases[:, 0]] * (1 - s) + bent[creases[:, 1]] * s
-    pieces = np.stack([line[:-1].reshape(-1, 3), line[1:].reshape(-1, 3)], axis=1)
-    return _Scene(
-        squares @ view,
-        squares.mean(axis=1) @ towards,
-        heat,
-        np.repeat(0.72 + 0.28 * lit, _SPLIT**2),
-        pieces @ view,
-        pieces.mean(axis=1) @ towards + _EDGE_IN_FRONT_M,
-        where[creases] @ view,
+def sensor_marks(machine: VirtualMachine, color: str = "white") -> tuple[Mark, ...]:
+    """The sensors of the description."""
+    oil = machine.description.cooling.lump
+    return tuple(
+        Mark(s.id.replace("theta_", "θ") + (" oil tank" if s.place == oil else ""), s.place, s.at_mm, color)
+        for s in machine.description.sensors
     )
 
 
-def _camera() -> tuple[Floats, Floats, Floats]:
-    towards = _EYE / np.linalg.norm(_EYE)
+def machine_figure(
+    shown: WarmMachine,
+    title: str,
+    marks: Sequence[Mark] = (),
+    eyes: Sequence[tuple[str, tuple[float, float, float]]] = (("", FRONT),),
+    size_in: tuple[float, float] = (7.4, 7.4),
+) -> Figure:
+    """The machine from one or more sides, each with its caption. A mark is drawn where it is seen first."""
+    figure = Figure(figsize=size_in, dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(1, len(eyes), squeeze=False)[0]
+    views = [_view(shown, np.array(eye)) for _, eye in eyes]
+    degC = np.concatenate(list(shown.degC.values()))
+    scale = ScalarMappable(Normalize(float(degC.min()), float(degC.max())), HEAT)
+    step = isotherm_step(float(np.ptp(degC)))
+    spots = [spot_m(shown, mark) for mark in marks]
+    seen = np.array([[bool(v.canvas.sees((spot @ v.axes_m)[None])[0]) for v in views] for spot in spots])
+    seen = seen.reshape(len(spots), len(views))
+    home = seen.argmax(axis=1)
+    size = np.max([view.high - view.low for view in views], axis=0)
+    for axes, view, (caption, _) in zip(grid, views, eyes, strict=True):
+        _draw_view(axes, view, scale, step, size)
+        axes.set_title(caption, fontsize=9.5, loc="center")
+    bar = figure.colorbar(scale, ax=list(grid), shrink=0.55, pad=0.015, aspect=24)
+    bar.set_label("temperature (°C)", fontsize=9)
+    bar.ax.yaxis.set_major_locator(MultipleLocator(step))
+    bar.ax.tick_params(labelsize=8)
+    figure.suptitle(title, x=0.012, ha="left", fontsize=11, fontweight="bold")
+    figure.supxlabel(_words(shown, step, len(marks) > 0, size_in[0]), x=0.012, ha="left", fontsize=8.5)
+    figure.draw_without_rendering()  # labels are arranged in pixels: everything must have its place before
+    for k, (axes, view) in enumerate(zip(grid, views, strict=True)):
+        own = [i for i in range(len(marks)) if home[i] == k]
+        _draw_marks(axes, view, [(marks[i], spots[i] @ view.axes_m, bool(seen[i, k])) for i in own])
+    return figure
+
+
+def _words(shown: WarmMachine, step_K: float, marked: bool, width_in: float) -> str:
+    """What stands below the picture."""
+    tool = ", ".join(f"{d} {u:+.0f}" for d, u in zip(AXES, shown.tool_um, strict=True)).replace("-", "\N{MINUS SIGN}")
+    parts = [
+        f"Displacement since cold × {shown.drawn:,.0f}: largest {shown.largest_um:.0f} µm, at the tool {tool} µm."
+        f" Grey: cold shape. Dark lines: isotherms, {step_K:g} K apart."
+    ]
+    if marked:
+        parts.append("Dots: sensors; half-transparent where a casting hides them.")
+    return "\n".join(textwrap.fill(part, int(_LETTERS_PER_IN * width_in)) for part in parts)
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Save as PNG or SVG, by the ending; the same figure gives the same bytes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with matplotlib.rc_context({"svg.hashsalt": "thetacomp", "svg.fonttype": "none"}):
+        figure.savefig(path, metadata={"Date": None, "Creator": None} if path.suffix == ".svg" else None)
+
+
+def isotherm_step(span_K: float) -> float:
+    """Distance of isotherms, 1, 2 or 5 times a power of ten, for at most 14 of them."""
+    return 1.0 / _round_figure(_MOST_ISOTHERMS / span_K) if span_K > 0 else 1.0
+
+
+def _view(shown: WarmMachine, eye: Floats) -> View:
+    towards = eye / np.linalg.norm(eye)
     right = np.cross([0.0, 1.0, 0.0], towards)
     right /= np.linalg.norm(right)
-    return right, np.cross(towards, right), towards
+    axes_m = np.stack([right, np.cross(towards, right), towards], axis=1)
+    quads, heat, light, edges, ghosts = [], [], [], [], []
+    lamp = axes_m @ (_SHOT_FROM_ABOVE_LEFT + np.array([0.0, 0.0, 0.75]))
+    lamp /= np.linalg.norm(lamp)
+    for name, mesh in shown.machine.meshes.items():
+        bent = shown.where_m[name] + shown.drawn * shown.moved_m[name]
+        facing = mesh.faces.normal @ towards > 1e-9
+        corners = mesh.faces.corners[facing][:, [0, 1, 3, 2]]
+        quads.append(bent[corners] @ axes_m)
+        heat.append(shown.degC[name][corners])
+        light.append(0.78 + 0.22 * np.clip(mesh.faces.normal[facing] @ lamp, 0.0, 1.0))
+        creases = _creases(mesh, corners)
+        edges.append(bent[creases] @ axes_m)
+        outer = _creases(mesh, mesh.faces.corners[facing & ~mesh.faces.inner][:, [0, 1, 3, 2]])
+        ghosts.append(shown.where_m[name][outer] @ axes_m)
+    canvas = paint(
+        np.concatenate(quads), np.concatenate(heat), np.concatenate(light), _PIXELS * _OVERSAMPLING, margin_m=0.02
+    )
+    return View(axes_m, canvas, np.concatenate(edges), np.concatenate(ghosts)[:, :, :2])
+
+
+def _draw_view(axes: Axes, view: View, scale: ScalarMappable, step_K: float, size: Floats) -> None:
+    canvas = view.canvas
+    image = scale.to_rgba(canvas.value)
+    image[..., :3] *= canvas.light[..., None]
+    image[contour_lines(canvas, step_K), :3] *= 0.68
+    image[..., 3] = np.isfinite(canvas.value)
+    image = smaller(image, _OVERSAMPLING)
+    axes.add_collection(LineCollection(list(view.ghosts), colors="#9aa3ad", linewidths=0.7, zorder=1))
+    axes.imshow(image, extent=canvas.extent_m, origin="lower", interpolation="none", zorder=2)
+    axes.add_collection(
+        LineCollection(_seen_parts(view), colors="#20262d", linewidths=0.55, capstyle="round", zorder=3)
+    )
+    # All views show the same width and height, so that they have one scale.
+    left, low = 0.5 * (view.high + view.low - size)
+    axes.set(xlim=(left - 0.45, left + size[0] + 0.45), ylim=(low - 0.5, low + size[1] + 0.2), aspect="equal")
+    axes.axis("off")
+    _draw_triad(axes, view, (left + 0.1, low - 0.1))
+
+
+def _seen_parts(view: View) -> list[Floats]:
+    """The parts of the edges that no face hides, each (2, 2)."""
+    s = np.linspace(0.0, 1.0, _EDGE_PIECES + 1)
+    middles = view.edges[:, :1] + (view.edges[:, 1:] - view.edges[:, :1]) * (0.5 * (s[1:] + s[:-1]))[None, :, None]
+    seen = view.canvas.sees(middles.reshape(-1, 3)).reshape(len(view.edges), -1)
+    closed = np.zeros((len(seen), 1), dtype=int)
+    steps = np.diff(np.concatenate([closed, seen.astype(int), closed], axis=1), axis=1)
+    edge, begin = np.nonzero(steps == 1)
+    _, end = np.nonzero(steps == -1)
+    a, b = view.edges[edge, 0, :2], view.edges[edge, 1, :2]
+    return list(np.stack([a + (b - a) * s[begin, None], a + (b - a) * s[end, None]], axis=1))
+
+
+def _draw_triad(axes: Axes, view: View, corner: tuple[float, float]) -> None:
+    for k, name in enumerate(AXES):
+        tip = 0.7 * view.axes_m[k, :2]
+        axes.annotate(
+            "", (corner[0] + tip[0], corner[1] + tip[1]), corner,
+            arrowprops={"arrowstyle": "-|>", "lw": 1.0, "color": "#3e4c59", "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+        axes.text(corner[0] + 1.25 * tip[0], corner[1] + 1.25 * tip[1], name, fontsize=8, ha="center", va="center")
+
+
+def _draw_marks(axes: Axes, view: View, marks: Sequence[tuple[Mark, Floats, bool]]) -> None:
+    points = np.array([place[:2] for _, place, _ in marks]).reshape(-1, 2)
+    pixels = axes.transData.transform(points) if len(points) else points
+    point_px = axes.figure.dpi / 72.0
+    texts = [Label(mark.label, (float(x), float(y))) for (mark, _, _), (x, y) in zip(marks, pixels, strict=True)]
+    labels = arrange(texts, _LABEL_PT * point_px)
+    for (mark, place, seen), (dx, dy) in zip(marks, labels, strict=True):
+        spot = (float(place[0]), float(place[1]))
+        opacity = 1.0 if seen else 0.5
+        axes.plot(*spot, "o", ms=5.5, mfc=mark.color, mec="black", mew=0.9, alpha=opacity, zorder=6)
+        axes.annotate(
+            mark.label, spot, xytext=(dx / point_px, dy / point_px), textcoords="offset points", fontsize=_LABEL_PT,
+            ha="center", va="center", zorder=7,
+            bbox={"boxstyle": "round,pad=0.14", "fc": mark.color, "ec": "none", "alpha": 0.92},
+            arrowprops={"arrowstyle": "-", "lw": 0.6, "color": "black", "shrinkA": 0, "shrinkB": 2},
+        )  # fmt: skip
+
+
+def spot_m(shown: WarmMachine, mark: Mark) -> Floats:
+    """Where a mark is on the drawn machine, (3,) in m: it moves with the body that it sits on."""
+    here = np.array(mark.at_mm) * 1e-3
+    body = _body_of(shown.machine, mark.place)
+    if body is None:
+        return here
+    mesh = shown.machine.meshes[body]
+    node = int(np.argmin(np.linalg.norm(mesh.points_m - here, axis=1)))
+    shift = shown.where_m[body][node] - mesh.points_m[node]
+    return np.asarray(here + shift + shown.drawn * shown.moved_m[body][node])
+
+
+def _body_of(machine: VirtualMachine, place: str) -> str | None:
+    """The body that a place rides on; None for the tank of the cooling, which stands on the floor."""
+    description = machine.description
+    if place == description.cooling.lump:
+        return None
+    rides = {name: name for name in machine.meshes} | {p.name: p.body for p in description.patches}
+    rides |= {rod.name: rides[rod.patch] for rod in description.rods}
+    # A small part rides on the body that it touches, if need be through other small parts.
+    for _ in description.lumps:
+        for contact in description.contacts:
+            if contact.a not in rides and contact.b in rides and contact.a != description.cooling.lump:
+                rides[contact.a] = rides[contact.b]
+    return rides.get(place, description.axes[0].lower)
 
 
 def _round_figure(value: float) -> float:
@@ -117,29 +320,8 @@ def _places(machine: VirtualMachine, positions_mm: Mapping[str, float]) -> dict[
     return out
 
 
-def _shown(mesh: BodyMesh, towards: Floats) -> Ints:
-    return np.flatnonzero((mesh.faces.normal @ towards > 1e-9) & ~mesh.faces.inner)
-
-
-def _visible(mesh: BodyMesh, towards: Floats) -> Ints:
-    """Corner nodes (n, 4), going round, of outer faces that look at the eye."""
-    return mesh.faces.corners[_shown(mesh, towards)][:, [0, 1, 3, 2]]
-
-
-def _subdivide(points: Floats, values: Floats, faces: Ints) -> tuple[Floats, Floats]:
-    """Split quadrilaterals into small ones: corners (n * _SPLIT², 4, 3) and mean values."""
-    s = np.linspace(0.0, 1.0, _SPLIT + 1)
-    u, v = np.meshgrid(s, s, indexing="ij")
-    shape = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
-    grid = np.einsum("abk,nkd->nabd", shape, points[faces])
-    heat = np.einsum("abk,nk->nab", shape, values[faces])
-    corners = np.stack([grid[:, :-1, :-1], grid[:, 1:, :-1], grid[:, 1:, 1:], grid[:, :-1, 1:]], axis=3)
-    mean = 0.25 * (heat[:, :-1, :-1] + heat[:, 1:, :-1] + heat[:, 1:, 1:] + heat[:, :-1, 1:])
-    return corners.reshape(-1, 4, 3), mean.ravel()
-
-
 def _creases(mesh: BodyMesh, faces: Ints) -> Ints:
-    """Edges (n, 2) where visible faces of different direction meet, or where the visible part ends."""
+    """Edges (n, 2) where faces (m, 4) of different direction meet, or where they end."""
     sides = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
     p = mesh.points_m[faces]
     normal = np.argmax(np.abs(np.cross(p[:, 1] - p[:, 0], p[:, 3] - p[:, 0])), axis=1)
@@ -150,61 +332,3 @@ def _creases(mesh: BodyMesh, faces: Ints) -> Ints:
     np.minimum.at(low, inverse.ravel(), owner)
     np.maximum.at(high, inverse.ravel(), owner)
     return np.asarray(unique[(count == 1) | (low != high)])
-
-
-def _dots(machine: VirtualMachine, positions_mm: Mapping[str, float], view: Floats) -> list[tuple[str, Floats]]:
-    """Where the sensors are on the picture."""
-    body_of = {p.name: p.body for p in machine.description.patches}
-    at_rest = {name: machine.meshes[name].points_m[0] for name in machine.meshes}
-    shift = {name: where[0] - at_rest[name] for name, where in _places(machine, positions_mm).items()}
-    # A small part rides on the body that it touches, if need be through other small parts.
-    rides = dict(body_of)
-    for _ in machine.description.lumps:
-        for contact in machine.description.contacts:
-            if contact.a not in rides and contact.b in rides:
-                rides[contact.a] = rides[contact.b]
-    out = []
-    for sensor in machine.description.sensors:
-        body = rides.get(sensor.place, machine.description.axes[0].lower)
-        if sensor.place == machine.description.cooling.lump:
-            body = machine.description.axes[0].lower  # the tank stands on the floor
-        label = sensor.id.replace("theta_", "θ") + (
-            " oil tank" if sensor.place == machine.description.cooling.lump else ""
-        )
-        out.append((label, (np.array(sensor.at_mm) * 1e-3 + shift[body]) @ view))
-    return out
-
-
-def _paint(scenes: Sequence[_Scene], dots: Sequence[tuple[str, Floats]], title: str, path: Path) -> None:
-    figure = Figure(figsize=(8.4, 8.0), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    degC = np.concatenate([scene.degC for scene in scenes])
-    scale = ScalarMappable(Normalize(float(degC.min()), float(degC.max())), "turbo")
-    colour = scale.to_rgba(degC)
-    colour[:, :3] *= np.concatenate([scene.light for scene in scenes])[:, None]
-    # Edges are flat polygons among the others, so that what is in front hides them.
-    flat = np.concatenate([scene.edges for scene in scenes])[:, [0, 1, 1, 0]]
-    colour = np.concatenate([colour, np.tile([1.0, 1.0, 1.0, 0.45], (len(flat), 1))])
-    depth = np.concatenate([*(scene.depth for scene in scenes), *(scene.edge_depth for scene in scenes)])
-    order = np.argsort(depth)
-    polygons = np.concatenate([*(scene.squares for scene in scenes), flat])[order]
-    ghosts = np.concatenate([scene.ghost for scene in scenes])
-    axes.add_collection(LineCollection(list(ghosts), colors="#9aa3ad", linewidths=0.7, zorder=1))
-    axes.add_collection(
-        PolyCollection(list(polygons), facecolors=colour[order], edgecolors=colour[order], linewidths=0.4)
-    )
-    box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.75}
-    for name, place in dots:
-        spot = (float(place[0]), float(place[1]))
-        axes.plot(*spot, "o", ms=5, mfc="white", mec="black", mew=0.9, zorder=5)
-        axes.annotate(name, spot, xytext=(5, 4), textcoords="offset points", fontsize=8, zorder=6, bbox=box)
-    everything = np.concatenate([polygons.reshape(-1, 2), ghosts.reshape(-1, 2), np.array([d[1] for d in dots])])
-    (left, low), (right, high) = everything.min(axis=0), everything.max(axis=0)
-    axes.set(xlim=(left - 0.15, right + 0.3), ylim=(low - 0.15, high + 0.15), aspect="equal")
-    axes.axis("off")
-    axes.set_title(title, fontsize=10.5, loc="left")
-    bar = figure.colorbar(scale, ax=axes, shrink=0.6, pad=0.01)
-    bar.set_label("temperature in °C")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
