@@ -25,8 +25,8 @@ MAX_RESIDUAL_RATIO = 0.5
 MIN_HEAT, MAX_HEAT = 0.5, 2.0
 # Without a law between temperature and error nothing can be scaled: the heat itself must be about the same.
 LIKE_RISE, UNLIKE_RISE = 0.8, 1.25
-# A model follows another campaign within some 20 %; more than this share is another relation.
-RELATION_SHARE, RELATION_GROWTH = 0.35, 2.5
+# A model follows another campaign within some 20 % (RMS); more than this share is another relation.
+RELATION_SHARE, RELATION_GROWTH = 0.25, 2.5
 # The tables that carry the compensation under test go by this name in active_tables.
 UNDER_TEST = "temperature"
 WRONG: tuple[ShareKind, ...] = ("reversed", "doubled", "not active")
@@ -213,8 +213,9 @@ def _judged(shares: Sequence[Share]) -> list[Share]:
     for component in dict.fromkeys(share.component for share in shares):
         own = [share for share in shares if share.component == component and share.material]
         parts = [share for share in own if share.part != ALL]
-        kinds = {share.kind for share in parts if share.kind != "unclear"}
-        out += parts if len(kinds) > 1 else [share for share in own if share.part == ALL]
+        apart = len(parts) == 2 and (parts[0].low > parts[1].high or parts[1].low > parts[0].high)
+        differ = apart and parts[0].kind != parts[1].kind
+        out += parts if differ else [share for share in own if share.part == ALL]
     return out
 
 
@@ -278,8 +279,10 @@ def _share_causes(shares: Sequence[Share], machine: Machine) -> list[Cause]:
         "partly": [],
         "too strong": [],
     }
+    changed = any(not_followed(share) for share in judged)
     for share in judged:
-        if not_followed(share):
+        # Beside components that no share explains, an odd share of another one has the same cause.
+        if not_followed(share) or (changed and share.kind in ("partly", "too strong")):
             kinds["relation"].append(share)
         elif share.kind != "applied" and share.kind != "unclear":
             kinds[share.kind].append(share)

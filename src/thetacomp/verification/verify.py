@@ -50,7 +50,7 @@ def verify_folder(
 
     progress("relating temperatures and error with compensation off")
     pairs, notes = _pairs(folder, separations, off, on, model)
-    sizes = {name: _size_um(pair[1]) for name, pair in pairs.items()}
+    sizes = {name: max(_size_um(pair[0]), _expected_um(pair[1])) for name, pair in pairs.items()}
     least_um = max(_instrument_um(runs), MATERIAL_SHARE * max(sizes.values(), default=0.0))
 
     progress("comparing off and on")
@@ -152,8 +152,12 @@ def _instrument_um(runs: tuple[list[Campaign], list[Campaign]]) -> float:
 
 
 def _size_um(run: RunPoints) -> float:
-    """Largest uncompensated error at the heat of the run, or what was measured where none can be expected."""
-    return float(np.abs(run.expected_um if run.explained else run.value_um).max())
+    """Largest uncompensated error of the run without compensation: expected, or measured where none can be."""
+    return _expected_um(run) if run.explained else float(np.abs(run.value_um).max())
+
+
+def _expected_um(run: RunPoints) -> float:
+    return float(np.abs(run.expected_um).max()) if run.explained else 0.0
 
 
 def _harm(name: str, pair: Pair, noise_um: float, sizes: dict[str, float]) -> HarmMap | None:
