@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
-from thetacomp.cli import analyze, check, demo, export, keypoints, predict, twin
+from thetacomp.cli import analyze, check, demo, export, keypoints, predict, twin, verify
 
 app = typer.Typer(
     name="thetacomp",
@@ -38,6 +38,7 @@ app.command("check")(check.check)
 app.command("keypoints")(keypoints.keypoints)
 app.command("analyze")(analyze.analyze)
 app.command("predict")(predict.predict)
+app.command("verify")(verify.verify)
 app.command("export")(export.export)
 app.command("twin")(twin.twin)
 

@@ -82,7 +82,7 @@ def checks(
         label = f"axis {axis}" if axis else "drift"
         out.append(
             Check(
-                f"{label}: residual RMS / uncompensated RMS at like heat",
+                f"{label}: RMS on / RMS off at like heat",
                 ratio <= MAX_RESIDUAL_RATIO,
                 f"{ratio:.2f}",
                 f"≤ {MAX_RESIDUAL_RATIO:g}",
@@ -165,6 +165,7 @@ def _like(like_um: float, before_um: float) -> float:
 def _mode_check(off: RunFacts, on: RunFacts, model_mode: str | None) -> Check:
     modes = {off.mode, on.mode} | ({model_mode} if model_mode is not None else set())
     found = f"off '{off.mode}', on '{on.mode}'" + (f", model '{model_mode}'" if model_mode is not None else "")
+    found = f"'{off.mode}'" if len(modes) == 1 else found
     return Check("operating mode", len(modes) == 1, found, "the same")
 
 
@@ -175,7 +176,7 @@ def _tables_check(off: RunFacts, on: RunFacts) -> Check:
         "active tables",
         same,
         f"off {listed(sorted(off.tables))}; on {listed(sorted(on.tables))}",
-        f"the same, and '{UNDER_TEST}' in the run with compensation on only",
+        f"the same; '{UNDER_TEST}' in on only",
     )
 
 
@@ -184,7 +185,7 @@ def _heat_check(off: RunFacts, on: RunFacts, heat_ratio: float) -> Check:
         return Check(
             "heat",
             MIN_HEAT <= heat_ratio <= MAX_HEAT,
-            f"the run with compensation on had {100 * heat_ratio:.0f} % of the heat of the run without",
+            f"on {100 * heat_ratio:.0f} % of off",
             f"{100 * MIN_HEAT:.0f} to {100 * MAX_HEAT:.0f} %",
         )
     sensor, rise_K = off.rises_K[0] if off.rises_K else ("", float("nan"))
@@ -200,7 +201,7 @@ def _heat_check(off: RunFacts, on: RunFacts, heat_ratio: float) -> Check:
 def _proven(row: BeforeAfter) -> Check:
     largest = row.of("max")
     low = largest.low_percent
-    name = f"column deviation in {row.component[-1]}: reduction of the maximum"
+    name = f"column deviation {row.component[-1]}: reduction"
     if not np.isfinite(low):
         percent = largest.reduction_percent
         return Check(name, percent > 0, f"{percent:.0f} % (no interval)", "> 0 %")
@@ -223,11 +224,13 @@ def _share_check(shares: Sequence[Share]) -> list[Check]:
     judged = _judged(shares)
     if not judged:
         return []
-    wrong = [share for share in judged if share.kind in WRONG]
-    found = "; ".join(f"{_label(s)} {s.kind} ({s.value:.2f})" for s in wrong[:3]) + (" …" if len(wrong) > 3 else "")
+    wrong = [share for share in judged if share.kind in WRONG or (share.kind != "applied" and not_followed(share))]
+    words = {id(s): s.kind if s.kind in WRONG else "not constant" for s in wrong}
+    found = "; ".join(f"{_label(s)} {words[id(s)]} ({s.value:.2f})" for s in wrong[:3])
+    found += " …" if len(wrong) > 3 else ""
     low, high = min(s.value for s in judged), max(s.value for s in judged)
     return [
-        Check("share of the correction that was applied", not wrong, found or f"{low:.2f} to {high:.2f}", "about 1"),
+        Check("applied share of the correction", not wrong, found or f"{low:.2f} to {high:.2f}", "about 1"),
     ]
 
 
