@@ -32,7 +32,7 @@ def verification_figures(result: Verification) -> list[style.NamedFigure]:
 def over_time(result: Verification) -> style.NamedFigure:
     """Largest error over the travel of each sweep: off, on, and what the run with compensation on would have shown."""
     names = _two_to_show(result)
-    figure = style.new_figure(2.15, HALF_IN)
+    figure = style.new_figure(2.0, HALF_IN)
     grid = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
     for axes, name in zip(grid, names, strict=True):
         off, on = (next(s for s in lines if s.component == name) for lines in (result.states_off, result.states_on))
@@ -74,7 +74,7 @@ def applied_share(result: Verification) -> list[style.NamedFigure]:
     whole = [share for share in result.shares if share.part == "all"]
     if not whole:
         return []
-    figure = style.new_figure(max(2.15, 0.75 + 0.13 * len(whole)), HALF_IN)
+    figure = style.new_figure(max(2.0, 0.75 + 0.13 * len(whole)), HALF_IN)
     axes = figure.subplots()
     for k, share in enumerate(whole):
         _draw_share(axes, k, share)
@@ -114,7 +114,7 @@ def harm_maps(result: Verification) -> list[style.NamedFigure]:
     if not result.harm:
         return []
     ordered = sorted(result.harm, key=lambda one: one.limit_um - one.largest_um)
-    worst = _harm_figure(ordered[:_WORST_MAPS], 1, 1.6)
+    worst = _harm_figure(ordered[:_WORST_MAPS], 1, 1.45)
     caption = (
         "|residual| less |uncompensated error at like heat|, in µm: blue is better, red is harm. The components with"
         " the most harm; the cross marks the largest."
@@ -150,5 +150,5 @@ def _harm_figure(maps: Sequence[HarmMap], rows: int, height_in: float) -> matplo
         axes.set_title(f"{one.component}: worst {one.largest_um:+.0f} µm, allowed {one.limit_um:.0f} µm", fontsize=8.5)
         axes.set_xlabel("time (h)")
     bar = figure.colorbar(ScalarMappable(norm, "RdBu_r"), ax=list(grid), pad=0.012, aspect=16 * rows)
-    bar.set_label("change of |error| (µm)")
+    bar.set_label("change (µm)")
     return figure
