@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from thetacomp.campaign import Temperatures
 from thetacomp.controllers.base import Export, ExportFile, read_settings
 from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
 from thetacomp.controllers.sinumerik_remarks import remarks
+from thetacomp.controllers.sinumerik_replay import CampaignReplay, replay_campaign
 from thetacomp.controllers.sinumerik_sheet import commissioning_sheet
 from thetacomp.models.document import ModelDocument
 
@@ -30,4 +32,14 @@ def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> Export
     return Export(tuple(files), remarks(plan), () if plan.tables else (CEC_FILE,))
 
 
+def replay_sinumerik(
+    model: ModelDocument, settings_path: Path | None, campaign: str, temperatures: Temperatures, reference_s: float
+) -> CampaignReplay:
+    """The temperatures of a measured campaign through the limits of a SINUMERIK and its writer."""
+    return replay_campaign(model, read_settings(settings_path, SinumerikSettings), campaign, temperatures, reference_s)
+
+
 TARGETS: Mapping[str, Callable[[ModelDocument, Path | None], Export]] = {"sinumerik": export_sinumerik}
+REPLAYS: Mapping[str, Callable[[ModelDocument, Path | None, str, Temperatures, float], CampaignReplay]] = {
+    "sinumerik": replay_sinumerik
+}
