@@ -29,7 +29,7 @@ def verify(
     def work() -> Outcome:
         from thetacomp.models.document import load_model
         from thetacomp.reading import read_folder
-        from thetacomp.report.verification import write_verification
+        from thetacomp.sheets.verification import write_verification
         from thetacomp.verification import verify_folder
 
         def progress(message: str) -> None:

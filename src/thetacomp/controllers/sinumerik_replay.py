@@ -7,12 +7,13 @@ most MD32000 · MD32760 (temperature) or MD32000 · MD32730 (sag), and clamps th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Temperatures
+from thetacomp.campaign import Floats
 from thetacomp.controllers.base import RegisterLaw
 from thetacomp.controllers.replay import (
     Loss,
@@ -30,9 +31,7 @@ from thetacomp.controllers.replay import (
 from thetacomp.controllers.sinumerik import Plan, SagTable, SinumerikSettings, make_plan
 from thetacomp.errors import AnalysisError
 from thetacomp.models.document import ModelDocument
-from thetacomp.prediction import sampled
 
-GRID_S = 1.0
 UPDATE, CLAMP, ENTRY, ROUNDING = "update of the writer", "clamp of the writer", "largest entry", "rounding"
 FILTER, RAMP, STEP, SUM, SUM_STEP = (
     "filter",
@@ -75,25 +74,26 @@ class MotionCheck:
 
 
 def replay_campaign(
-    model: ModelDocument, settings: SinumerikSettings, campaign: str, temperatures: Temperatures, reference_s: float
+    model: ModelDocument,
+    settings: SinumerikSettings,
+    campaign: str,
+    t_s: Floats,
+    temperature_degC: Mapping[str, Floats],
 ) -> CampaignReplay:
-    """Replay one campaign; its thermal error counts from `reference_s`, as after a datum set at that moment.
+    """Replay one campaign: sensor -> (n,) at the evenly spaced `t_s` (n,), of which the first is the moment of zero.
 
-    Raises AnalysisError where a sensor of the model has no value at the reference.
+    Raises AnalysisError where a sensor of the model has no value at that moment.
     """
     sized = make_plan(model, settings)
-    zero = dict(zip(temperatures.sensor_ids, sampled(temperatures, np.array([reference_s]))[0].tolist(), strict=True))
-    lacking = [sensor for sensor in sized.grid_degC if not np.isfinite(zero.get(sensor, np.nan))]
+    lacking = [s for s in sized.grid_degC if s not in temperature_degC or not np.isfinite(temperature_degC[s][0])]
     if lacking:
         raise AnalysisError(
-            f"campaign {campaign}: {', '.join(lacking)} has no value at the reference ({reference_s:.0f} s), so it"
+            f"campaign {campaign}: {', '.join(lacking)} has no value at the reference ({t_s[0]:.0f} s), so it"
             " cannot be replayed. Fix: complete its temperatures, or name a folder whose campaigns have these sensors."
         )
-    reference = {sensor: zero[sensor] for sensor in sized.grid_degC}
+    degC = {sensor: temperature_degC[sensor] for sensor in sized.grid_degC}
+    reference = {sensor: float(value[0]) for sensor, value in degC.items()}
     plan = make_plan(model, settings.model_copy(update={"reference_degC": reference}))
-    t_s = np.arange(reference_s, float(temperatures.t_s[-1]) + GRID_S / 2, GRID_S)
-    columns = sampled(temperatures, t_s)
-    degC = {sensor: columns[:, temperatures.sensor_ids.index(sensor)] for sensor in reference}
     registers = _registers(plan, sized, settings, degC, len(t_s))
     return CampaignReplay(
         campaign=campaign,

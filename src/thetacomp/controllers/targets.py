@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from thetacomp.campaign import Temperatures
+from thetacomp.campaign import Floats
 from thetacomp.controllers.base import Export, ExportFile, read_settings
 from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
@@ -33,13 +33,16 @@ def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> Export
 
 
 def replay_sinumerik(
-    model: ModelDocument, settings_path: Path | None, campaign: str, temperatures: Temperatures, reference_s: float
+    model: ModelDocument,
+    settings_path: Path | None,
+    campaign: str,
+    t_s: Floats,
+    temperature_degC: Mapping[str, Floats],
 ) -> CampaignReplay:
-    """The temperatures of a measured campaign through the limits of a SINUMERIK and its writer."""
-    return replay_campaign(model, read_settings(settings_path, SinumerikSettings), campaign, temperatures, reference_s)
+    """The temperatures of a measured campaign, from its zero on, through a SINUMERIK and its writer."""
+    return replay_campaign(model, read_settings(settings_path, SinumerikSettings), campaign, t_s, temperature_degC)
 
 
 TARGETS: Mapping[str, Callable[[ModelDocument, Path | None], Export]] = {"sinumerik": export_sinumerik}
-REPLAYS: Mapping[str, Callable[[ModelDocument, Path | None, str, Temperatures, float], CampaignReplay]] = {
-    "sinumerik": replay_sinumerik
-}
+Replay = Callable[[ModelDocument, Path | None, str, Floats, Mapping[str, Floats]], CampaignReplay]
+REPLAYS: Mapping[str, Replay] = {"sinumerik": replay_sinumerik}

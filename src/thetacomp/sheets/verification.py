@@ -13,10 +13,10 @@ from markupsafe import Markup, escape
 
 from thetacomp import __version__
 from thetacomp.report import tables
-from thetacomp.report.figures_verification import verification_figures
 from thetacomp.report.page import FIGURE_FOLDER
 from thetacomp.report.rendering import inline_svg, render
 from thetacomp.report.style import NamedFigure
+from thetacomp.sheets.figures_verification import verification_figures
 from thetacomp.verification.result import BeforeAfter, RunFacts, Verification
 
 PAGE_FILE = "verification.html"
@@ -57,7 +57,7 @@ def write_verification(result: Verification, out: Path) -> tuple[Path, ...]:
 
 def _page(result: Verification, figures: Mapping[str, tuple[NamedFigure, Markup]]) -> str:
     environment = Environment(
-        loader=PackageLoader("thetacomp.report", "templates"),
+        loader=PackageLoader("thetacomp.sheets", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

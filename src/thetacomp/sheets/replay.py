@@ -9,15 +9,27 @@ from pathlib import Path
 import numpy as np
 from matplotlib.lines import Line2D
 
+from thetacomp.campaign import Campaign, Floats
 from thetacomp.controllers.replay import NOTICED_UM, TOGETHER, Loss
 from thetacomp.controllers.sinumerik_replay import CampaignReplay
+from thetacomp.prediction import sampled
 from thetacomp.report import style
 from thetacomp.report.rendering import render
 from thetacomp.report.style import HOUR_S
+from thetacomp.separation.reference import reference_time_s
 
 TABLE_FILE = "replay.csv"
 FIGURE_NAME = "replay"
+GRID_S = 1.0
 _MOST_REGISTERS = 8
+
+
+def series(campaign: Campaign) -> tuple[Floats, dict[str, Floats]]:
+    """Every second from the campaign's zero to its last sample, (n,), and the sensors' temperatures then, (n,) each."""
+    table = campaign.temperatures
+    t_s = np.arange(reference_time_s(campaign), float(table.t_s[-1]) + GRID_S / 2, GRID_S)
+    value = sampled(table, t_s)
+    return t_s, {sensor: value[:, j] for j, sensor in enumerate(table.sensor_ids)}
 
 
 def replay_lines(replays: Sequence[CampaignReplay]) -> list[str]:
