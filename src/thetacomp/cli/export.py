@@ -79,11 +79,10 @@ def _replay(model: ModelDocument, target: str, out: Path, settings: Path | None,
 
     from thetacomp.controllers.targets import REPLAYS
     from thetacomp.reading import read_folder
-    from thetacomp.separation.reference import reference_time_s
-    from thetacomp.sheets.replay import replay_lines, write_replay
+    from thetacomp.sheets.replay import replay_lines, series, write_replay
 
     campaigns = read_folder(folder).campaigns
-    replays = [REPLAYS[target](model, settings, c.name, c.temperatures, reference_time_s(c)) for c in campaigns]
+    replays = [REPLAYS[target](model, settings, campaign.name, *series(campaign)) for campaign in campaigns]
     paths = write_replay(replays, out)
     data = {
         "replay": [
