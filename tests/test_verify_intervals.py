@@ -69,7 +69,7 @@ def _pair(rng: np.random.Generator, gain_on: float, correlation: float) -> tuple
     ("value", "low", "high", "kind"),
     [
         (1.02, 0.9, 1.1, "applied"),
-        (0.92, 0.88, 0.96, "unclear"),
+        (0.92, 0.88, 0.96, "applied"),  # no model is right to better than a tenth
         (-1.05, -1.1, -0.98, "reversed"),
         (-0.4, -0.5, -0.3, "reversed"),
         (1.95, 1.8, 2.1, "doubled"),
@@ -81,5 +81,4 @@ def _pair(rng: np.random.Generator, gain_on: float, correlation: float) -> tuple
     ],
 )
 def test_a_share_is_named_only_where_its_interval_tells(value: float, low: float, high: float, kind: str) -> None:
-    expected = "applied" if (value, low) == (0.92, 0.88) else kind
-    assert classify(value, low, high) == expected
+    assert classify(value, low, high) == kind

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from thetacomp.analysis import analyze_folder
-from thetacomp.campaign import CARTESIAN, Temperatures
+from thetacomp.campaign import Temperatures
 from thetacomp.models.document import ModelDocument
 from thetacomp.prediction import predict
 from thetacomp.reading import Positions, read_folder
@@ -55,12 +55,13 @@ def test_a_compensated_virtual_machine_is_verified(twin: Twin, tmp_path: Path) -
     off = [plan.name for plan in plans[:3]]
     right = verify_folder(read, off, ["right"], model)
     wrong = verify_folder(read, off, ["wrong"], model)
-    column = {r.component: r.of("rms") for r in right.rows}
-    print(right.go, right.causes, {k: round(v.like_reduction_percent) for k, v in column.items()})
-    print(wrong.go, wrong.causes)
+    column = {r.component: r.of("rms").like_reduction_percent for r in right.rows}
+    assert right.go, right.causes
+    # Measured once: 52 and 88 %.
+    assert column["column_X"] > 30.0
+    assert column["column_Z"] > 70.0
     largest = max((s for s in right.shares if s.part == "all"), key=lambda s: s.size_um)
-    assert largest.low <= 1.0 <= largest.high or abs(largest.value - 1.0) < 0.25
-    assert column["column_X"].like_reduction_percent > 30.0
+    assert largest.value == pytest.approx(1.0, abs=0.25)
     assert not wrong.go
-    assert "reversed" in {cause.kind for cause in wrong.causes}
-    assert set(CARTESIAN) >= {s.component[1] for s in right.shares}
+    assert [cause.kind for cause in wrong.causes] == ["reversed"]
+    assert wrong.causes[0].text.startswith("all ")
