@@ -139,6 +139,21 @@ def test_one_reversed_register_of_a_component_is_found(tmp_path: Path) -> None:
     assert result.causes[0].components == ("slope of EXY",)
 
 
+def test_a_correction_that_nothing_explains_is_the_model(tmp_path: Path) -> None:
+    """Large errors of single sweeps, unrelated to temperature: no fault of the control can be told."""
+    runs = [Run("off"), Run("on", "on", share=1.0, rest_um=45.0)]
+    result = verify_folder(read_folder(write_folder(tmp_path / "m", runs)), ["off"], ["on"], true_model())
+    assert not result.go
+    assert not {"reversed", "doubled", "not active"} & {cause.kind for cause in result.causes}
+
+
+def test_two_heated_sweeps_prove_nothing(tmp_path: Path) -> None:
+    runs = [Run("off", rounds=3), Run("on", "on", share=1.0, rounds=3)]
+    result = verify_folder(read_folder(write_folder(tmp_path / "m", runs)), ["off"], ["on"], true_model())
+    assert all(share.kind == "unclear" for share in result.shares)
+    assert all(np.isnan(s.low_percent) for row in result.rows for s in row.statistics)
+
+
 # --- before and after -------------------------------------------------------------------------------------------------
 
 

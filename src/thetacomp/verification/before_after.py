@@ -9,7 +9,7 @@ import numpy as np
 from thetacomp.campaign import Floats
 from thetacomp.verification.result import STATISTICS, BeforeAfter, StateLine, Statistic
 from thetacomp.verification.runs import RunPoints
-from thetacomp.verification.share import LIMITS_PERCENT, draws_for, fit_run, repeated_runs
+from thetacomp.verification.share import LIMITS_PERCENT, draws_for, enough_states, fit_run, repeated_runs
 
 NAN = float("nan")
 LEAST_UM = 1e-6
@@ -46,7 +46,8 @@ def before_after(
         deviation = log_drawn - np.median(log_drawn, axis=0)
         upper_log, lower_log = (log - np.percentile(deviation, q, axis=0) for q in LIMITS_PERCENT)
         # A larger ratio is a smaller reduction.
-        low, high = (100.0 * (1.0 - np.exp(bound) / ratio) for bound in (upper_log, lower_log))
+        if enough_states(off, on):
+            low, high = (100.0 * (1.0 - np.exp(bound) / ratio) for bound in (upper_log, lower_log))
     statistics = []
     for k, kind in enumerate(STATISTICS):
         before, after = float(observed[0][k]), float(observed[1][k])
