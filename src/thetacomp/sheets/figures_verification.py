@@ -141,8 +141,17 @@ def _harm_figure(maps: Sequence[HarmMap], rows: int, height_in: float) -> matplo
         hours, position = one.t_s / HOUR_S, one.position_mm
         order = np.argsort(hours, kind="stable")
         if len(position) > 1 and len(hours) > 1:
-            axes.pcolormesh(hours[order], position, one.harm_um[order].T, cmap="RdBu_r", norm=norm, shading="nearest")
-            axes.plot(one.largest_at_s / HOUR_S, one.largest_at_mm, "x", color=style.INK, ms=5)
+            axes.pcolormesh(
+                hours[order],
+                position,
+                one.harm_um[order].T,
+                cmap="RdBu_r",
+                norm=norm,
+                shading="nearest",
+                edgecolors="face",
+                lw=0.3,
+            )
+            axes.plot(one.largest_at_s / HOUR_S, one.largest_at_mm, "x", color=style.INK, ms=5, clip_on=False)
             axes.set_ylabel("position (mm)")
         else:
             axes.plot(hours[order], one.harm_um[order, 0], color=style.BLUE)

@@ -231,7 +231,9 @@ def _share_check(shares: Sequence[Share]) -> list[Check]:
     found += " …" if len(wrong) > 3 else ""
     low, high = min(s.value for s in judged), max(s.value for s in judged)
     return [
-        Check("applied share of the correction", not wrong, found or f"{low:.2f} to {high:.2f}", "about 1"),
+        Check(
+            "applied share of the correction", not wrong, found or f"{low:.2f} to {high:.2f}", "near 1; not -1, 0, 2"
+        ),
     ]
 
 
