@@ -156,7 +156,9 @@ def _harm_figure(maps: Sequence[HarmMap], rows: int, height_in: float) -> matplo
         else:
             axes.plot(hours[order], one.harm_um[order, 0], color=style.BLUE)
             axes.set_ylabel("harm (µm)")
-        axes.set_title(f"{one.component}: worst {one.largest_um:+.0f} µm, allowed {one.limit_um:.0f} µm", fontsize=8.5)
+        axes.set_title(
+            f"{one.component}: worst {round(one.largest_um) + 0:+d} µm, allowed {one.limit_um:.0f} µm", fontsize=8.5
+        )
         axes.set_xlabel("time (h)")
     bar = figure.colorbar(ScalarMappable(norm, "RdBu_r"), ax=list(grid), pad=0.012, aspect=16 * rows)
     bar.set_label("change (µm)")

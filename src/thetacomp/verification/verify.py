@@ -194,6 +194,7 @@ def _unstated(runs: tuple[list[Campaign], list[Campaign]]) -> list[str]:
         notes.append("no campaign states its operating mode: whether the cooling was the same is not known")
     if any(c.settings.instrument_u_um is None for c in campaigns):
         notes.append(
-            "the uncertainty of a point (instrument_u_um) is not stated in every campaign: small errors are judged by their scatter alone"
+            "the uncertainty of a point (instrument_u_um) is not stated in every campaign: small errors are judged by"
+            " their scatter alone"
         )
     return notes
