@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from thetacomp.cli.common import BAD_USAGE, DONE, NOT_FIT, JsonOption, Outcome, run
+
+if TYPE_CHECKING:
+    from thetacomp.models.document import ModelDocument
 
 
 def export(
@@ -15,13 +18,16 @@ def export(
     target: Annotated[str, typer.Option(help="The control: sinumerik.")],
     out: Annotated[Path, typer.Option(help="Folder for the files; it is made if needed.")],
     settings: Annotated[Path | None, typer.Option(help="export.toml: axis names, signs and limits.")] = None,
+    replay: Annotated[
+        Path | None, typer.Option(help="Machine folder whose campaigns are replayed through the control's limits.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write the files that bring a model to a control, with a commissioning sheet."""
-    run(lambda: _export(model, target, out, settings), as_json)
+    run(lambda: _export(model, target, out, settings, replay), as_json)
 
 
-def _export(model_path: Path, target: str, out: Path, settings: Path | None) -> Outcome:
+def _export(model_path: Path, target: str, out: Path, settings: Path | None, replay: Path | None) -> Outcome:
     from thetacomp.controllers.targets import TARGETS
     from thetacomp.models.document import load_model
 
@@ -40,6 +46,8 @@ def _export(model_path: Path, target: str, out: Path, settings: Path | None) -> 
         for name in made.absent
         if (out / name).exists()
     ]
+    replayed = _replay(model, target, out, settings, replay) if replay is not None else Outcome("")
+    lines += [replayed.text] if replay is not None else []
     reasons = []
     if model.sign == "unproven":
         reasons.append(
@@ -61,5 +69,31 @@ def _export(model_path: Path, target: str, out: Path, settings: Path | None) -> 
         "failed_checks": list(failed),
         "remarks": list(made.remarks),
         "reason": " ".join(reasons),
+        **replayed.data,
     }
     return Outcome("\n".join(lines), data, NOT_FIT if reasons else DONE)
+
+
+def _replay(model: ModelDocument, target: str, out: Path, settings: Path | None, folder: Path) -> Outcome:
+    """Replay every campaign of a machine folder through the limits; a table and a picture of the worst one."""
+    from dataclasses import asdict
+
+    from thetacomp.controllers.targets import REPLAYS
+    from thetacomp.reading import read_folder
+    from thetacomp.sheets.replay import replay_lines, series, write_replay
+
+    campaigns = read_folder(folder).campaigns
+    replays = [REPLAYS[target](model, settings, campaign.name, *series(campaign)) for campaign in campaigns]
+    paths = write_replay(replays, out)
+    data = {
+        "replay": [
+            {
+                "campaign": one.campaign,
+                "losses": [asdict(loss) for loss in one.losses],
+                "motion": [{**asdict(check), "holds": check.holds} for check in one.motion],
+            }
+            for one in replays
+        ],
+        "replay_files": [str(path) for path in paths],
+    }
+    return Outcome("\n".join(replay_lines(replays)), data)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
-from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, place, plan, predict, twin
+from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, place, plan, predict, twin, verify
 
 app = typer.Typer(
     name="thetacomp",
@@ -39,6 +39,7 @@ app.command("plan")(plan.plan)
 app.command("keypoints")(keypoints.keypoints)
 app.command("analyze")(analyze.analyze)
 app.command("predict")(predict.predict)
+app.command("verify")(verify.verify)
 app.command("export")(export.export)
 app.command("iso230")(iso230.iso230)
 app.command("twin")(twin.twin)

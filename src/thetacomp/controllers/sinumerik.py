@@ -32,6 +32,23 @@ AXIS_NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 AxisName = Annotated[str, Field(pattern=AXIS_NAME)]
 
 
+class ReplaySettings(Strict):
+    """`[replay]` of `export.toml`: what the replay of measured campaigns assumes of writer and control.
+
+    `update_s`: how often the writer brings new values; `entry_step_um`: what it rounds to, at the worst position;
+    `largest_entry_um`: the largest value that an operator's or PLC's entry takes, at the worst position (default:
+    none); `filter_cycles`, `filter_cycle_s`: a mean over the last n cycles on the way, as ISG and TwinCAT have it
+    (default: none); `md32000_mm_per_min`: fastest velocity of the axes, from which MD32760 and MD32730 count.
+    """
+
+    update_s: Annotated[float, Field(ge=0.0)] = 60.0
+    entry_step_um: Annotated[float, Field(ge=0.0)] = 0.1
+    largest_entry_um: Annotated[float, Field(gt=0.0)] | None = None
+    filter_cycles: Annotated[int, Field(ge=1, le=1000)] = 1
+    filter_cycle_s: Annotated[float, Field(gt=0.0)] = 0.004
+    md32000_mm_per_min: Annotated[float, Field(gt=0.0)] = 10000.0
+
+
 class SinumerikSettings(Strict):
     """`export.toml` for SINUMERIK. Every default that stands for an open question is said in the sheet.
 
@@ -42,7 +59,7 @@ class SinumerikSettings(Strict):
     the one component whose intercept becomes K0. `reference_degC`: temperatures at the moment of zero; the constant
     of the fit is then dropped (default: the reference stored in the model, constant kept). `reserve`: factor on
     the largest values of the training range, for table slopes and clamps. `rate_limit_um_per_s`: how fast the writer
-    may move an axis. `md32720_cec_max_sum_mm`: default sized from the tables.
+    may move an axis. `md32720_cec_max_sum_mm`: default sized from the tables. `replay`: see ReplaySettings.
     """
 
     sign_temperature: Sign = 1
@@ -58,6 +75,7 @@ class SinumerikSettings(Strict):
     md32760_comp_add_velo_factor: Annotated[float, Field(gt=0.0, le=0.1)] = 0.01
     md32720_cec_max_sum_mm: Annotated[float, Field(gt=0.0)] | None = None
     md32730_cec_max_velo_factor: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
+    replay: ReplaySettings = Field(default_factory=ReplaySettings)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from thetacomp.campaign import Floats
 from thetacomp.controllers.base import Export, ExportFile, read_settings
 from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
 from thetacomp.controllers.sinumerik_remarks import remarks
+from thetacomp.controllers.sinumerik_replay import CampaignReplay, replay_campaign
 from thetacomp.controllers.sinumerik_sheet import commissioning_sheet
 from thetacomp.models.document import ModelDocument
 
@@ -30,4 +32,17 @@ def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> Export
     return Export(tuple(files), remarks(plan), () if plan.tables else (CEC_FILE,))
 
 
+def replay_sinumerik(
+    model: ModelDocument,
+    settings_path: Path | None,
+    campaign: str,
+    t_s: Floats,
+    temperature_degC: Mapping[str, Floats],
+) -> CampaignReplay:
+    """The temperatures of a measured campaign, from its zero on, through a SINUMERIK and its writer."""
+    return replay_campaign(model, read_settings(settings_path, SinumerikSettings), campaign, t_s, temperature_degC)
+
+
 TARGETS: Mapping[str, Callable[[ModelDocument, Path | None], Export]] = {"sinumerik": export_sinumerik}
+Replay = Callable[[ModelDocument, Path | None, str, Floats, Mapping[str, Floats]], CampaignReplay]
+REPLAYS: Mapping[str, Replay] = {"sinumerik": replay_sinumerik}

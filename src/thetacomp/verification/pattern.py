@@ -1,0 +1,102 @@
+"""The uncompensated error that the temperatures let expect in any run: from a stored model, or fitted to the off run.
+
+It brings both runs to like heat, and it is the pattern that tells which share of the correction was applied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder
+from thetacomp.errors import AnalysisError
+from thetacomp.models.document import ModelDocument
+from thetacomp.models.procedures import default_procedure
+from thetacomp.prediction import predict
+from thetacomp.separation import ComponentSeparation
+from thetacomp.states import AxisStates
+
+Expected = tuple[Floats, Floats]
+
+
+@dataclass(frozen=True)
+class _Places:
+    t_s: Floats
+    axis: tuple[str, ...]
+    position_mm: Floats
+
+
+def fitted_pattern(
+    folder: MachineFolder, states: AxisStates, off: Sequence[str]
+) -> tuple[tuple[Expected, ...], tuple[str, ...]]:
+    """Expected intercept and slope of every sample, component by component, from a fit to the off campaigns alone.
+
+    All NaN where no sensor explains the error, or where the states are too few; the second value says so.
+    """
+    numbers = [k for k, name in enumerate(states.campaigns) if name in set(off)]
+    rows = np.flatnonzero(np.isin(states.campaign, numbers))
+    label = f"axis {states.axis}" if states.axis else "drift"
+    try:
+        model = default_procedure(folder.machine)(states.take(rows))
+    except AnalysisError as exc:
+        return tuple(_nothing(len(s.value_um)) for s in states.samples), (f"{label}: {exc}",)
+    if not model.inputs:
+        note = f"{label}: no sensor explains the error of the run with compensation off; it is not brought to like heat"
+        return tuple(_nothing(len(s.value_um)) for s in states.samples), (note,)
+    out = []
+    for name, samples in zip(states.components, states.samples, strict=True):
+        zeros = np.zeros(len(samples.value_um))
+        at_p0, _ = model.predict(name, states, replace(samples, lever_m=zeros))
+        at_1m, _ = model.predict(name, states, replace(samples, lever_m=zeros + 1.0))
+        out.append((at_p0, at_1m - at_p0))
+    return tuple(out), ()
+
+
+def model_pattern(
+    model: ModelDocument, folder: MachineFolder, states: AxisStates, separations: Sequence[ComponentSeparation]
+) -> tuple[tuple[Expected, ...], tuple[str, ...]]:
+    """Expected intercept and slope of every sample from a stored model; NaN for components it does not predict.
+
+    The zero is that of the measured error: the mean over the moments at which the cold state was measured.
+    """
+    out, notes = [], []
+    for component, samples in zip(states.components, states.samples, strict=True):
+        expected = _nothing(len(samples.value_um))
+        known = model.components.get(component)
+        if known is None or not known.inputs:
+            notes.append(f"{component}: the model does not predict it; what remains of it is not the model's fault")
+            out.append(expected)
+            continue
+        for number, name in enumerate(states.campaigns):
+            rows = np.flatnonzero(states.campaign[samples.state] == number)
+            own = next(s for s in separations if s.campaign == name and s.component == component)
+            t_s = 3600.0 * samples.elapsed_h[rows] + float(own.zero_t_s.mean())
+            campaign = folder.campaign(name)
+            at_p0 = _at(model, campaign, own, t_s, states.p0_mm)
+            at_1m = _at(model, campaign, own, t_s, states.p0_mm + 1000.0) if own.axis else at_p0
+            expected[0][rows], expected[1][rows] = at_p0, at_1m - at_p0
+        out.append(expected)
+    return tuple(out), tuple(notes)
+
+
+def _at(model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s: Floats, position_mm: float) -> Floats:
+    """Predicted error at one position less its mean over the cold block, (n,)."""
+    times = np.concatenate([own.zero_t_s, t_s])
+    places = _Places(times, (own.axis or "",) * len(times), np.full(len(times), position_mm))
+    prediction = predict(
+        model,
+        campaign.temperatures,
+        places,
+        float(own.zero_t_s.mean()),
+        lambda i: f"campaign {campaign.name}, {own.component} at {times[i]:.0f} s",
+    )
+    value = prediction.error_um[:, CARTESIAN.index(own.direction)]
+    cold = value[: len(own.zero_t_s)]
+    zero = float(cold[np.isfinite(cold)].mean()) if np.isfinite(cold).any() else 0.0
+    return np.asarray(value[len(own.zero_t_s) :] - zero)
+
+
+def _nothing(n: int) -> Expected:
+    return np.full(n, np.nan), np.full(n, np.nan)
