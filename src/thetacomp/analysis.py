@@ -12,16 +12,18 @@ from thetacomp.errors import AnalysisError
 from thetacomp.keypoints.states import correlation_tables, parameter_table
 from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
 from thetacomp.models.build import build_document
+from thetacomp.models.form import with_form
 from thetacomp.models.history_model import history_procedure
 from thetacomp.models.procedures import default_procedure, paper_procedure
 from thetacomp.screening import fit_screening, screen
-from thetacomp.separation import ComponentSeparation, separate_campaign
+from thetacomp.separation import ComponentSeparation, separate_all
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
 from thetacomp.validation.acceptance import acceptance_checks, in_words
 from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test
+from thetacomp.validation.joint_view import with_drift
 from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, held_out_states, rows_of
@@ -53,7 +55,8 @@ def analyze_folder(
     progress("screening temperatures")
     findings = _screening_notes(campaigns)
     progress("separating geometry and heat")
-    separations = tuple(result for campaign in campaigns for result in separate_campaign(folder.machine, campaign))
+    separated = separate_all(folder.machine, campaigns)
+    separations = separated.components
     if not separations:
         raise AnalysisError(
             "there are no sweeps, parameters or drift in the chosen campaigns: nothing to model."
@@ -66,9 +69,13 @@ def analyze_folder(
     procedure, paper = default_procedure(folder.machine), paper_procedure(folder.machine)
     fitted = _fit(training, procedure)
     fitted_paper = _fit_where_possible(training, paper)
-    notes = _notes(campaigns, separations) + _dropped_notes(separations, everything) + findings
+    notes = _notes(campaigns, separations) + separated.notes + _dropped_notes(separations, everything) + findings
     model = build_document(folder, fitted, "default: weighted key points, least squares", train, notes)
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
+    model, paper_model = (
+        with_form(document, folder, separated, some, train)
+        for document, some in ((model, fitted), (paper_model, fitted_paper))
+    )
 
     progress("validating on held-out data")
     residuals, rows, held_out, fold_notes = _validate(folder, everything, test, fitted, procedure, paper)
@@ -168,17 +175,6 @@ def _dropped_notes(separations: Sequence[ComponentSeparation], everything: Seque
     )
 
 
-def _position_notes(campaigns: Sequence[Campaign]) -> list[str]:
-    """Positions of the other axes that the model of this version does not use."""
-    return [
-        f"campaign {campaign.name}: positions of other axes during a sweep ({', '.join(campaign.sweeps.at_mm)}) are not"
-        " used: an intercept holds the tilt of the other axes at those positions, and the drift of one direction is"
-        " exported from one sweep only"
-        for campaign in campaigns
-        if campaign.sweeps is not None and campaign.sweeps.at_mm
-    ]
-
-
 def _validate(
     folder: MachineFolder,
     everything: Sequence[AxisStates],
@@ -207,14 +203,16 @@ def _validate(
         if test:
             split, folds = "test", named_test(states, test)
         own: list[Residuals] = []
+        # In the joint form a point of a sweep is judged with the drift of its moment: the whole error of the tool.
+        judged, procedures = with_drift(states, everything, procedures)
         for kind, some in ((split, folds), (FORWARD, _new_folds(forward_in_time(states), folds))):
             if some:
-                own += held_out_residuals(states, kind, some, procedures)
+                own += held_out_residuals(judged, kind, some, procedures)
         notes += _fold_notes(states, folds, procedure, stored.get(states.axis, ()))
         cartesian = next((a.cartesian for a in folder.machine.axes if a.name == states.axis), "")
         for item in own:
             rows += rows_of(item, states.campaigns)
-        rows += column_rows(states, own, cartesian)
+        rows += column_rows(judged, own, cartesian)
         by_state += held_out_states(states, [item for item in own if item.split != FORWARD], "default")
         residuals += own
     return residuals, tuple(rows), tuple(by_state), tuple(notes)
@@ -260,7 +258,6 @@ def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparat
         if c.settings.active_tables
     ]
     notes += [note for campaign in campaigns for note in _cold_notes(campaign)]
-    notes += _position_notes(campaigns)
     notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]
     return tuple(dict.fromkeys(notes))
 

@@ -99,6 +99,12 @@ class ModelDocument(Strict):
     """A thermal model as it is stored, read and exported. Units are in the names; see docs/nomenclature.md.
 
     `failed_checks` names the acceptance checks that the model failed: whoever uses it must see them.
+
+    `form`: in the "joint" form the components `DX`, `DY`, `DZ` hold the drift of all axes and every `E..` is zero at
+    its P0, with the tool of `tool_length_mm`; `axes` then stand in the order from the workpiece to the tool. In the
+    "separate" form every intercept holds the drift. `rotations` are thermal angles of the joint form, in µrad and
+    µrad/m instead of µm and µm/m: `EAX` about X while X moves, `DA` at fixed positions; their `direction` is the axis
+    about which they turn.
     """
 
     kind: Literal["thetacomp model"] = "thetacomp model"
@@ -114,6 +120,9 @@ class ModelDocument(Strict):
     failed_checks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     fallbacks: tuple[Fallback, ...] = ()
+    form: Literal["separate", "joint"] = "separate"
+    tool_length_mm: float = 0.0
+    rotations: dict[str, Component] = Field(default_factory=dict)
 
     def to_json(self) -> str:
         """The document as indented JSON text, non-ASCII letters kept readable."""
