@@ -92,11 +92,11 @@ def join(
 def _far_bins(look_s: Floats, known_s: Floats) -> Floats:
     """Further nodes: mean times of looks more than ten minutes from every sweep, in bins of ten minutes."""
     distance_s = np.abs(look_s[:, None] - known_s).min(axis=1)
-    far_s = look_s[(distance_s > NODE_S) & (look_s > known_s.min())]
+    far_s: Floats = look_s[(distance_s > NODE_S) & (look_s > known_s.min())]
     if not len(far_s):
         return far_s
     number = np.floor((far_s - far_s[0]) / NODE_S)
-    return np.array([float(far_s[number == k].mean()) for k in np.unique(number)])
+    return np.array([far_s[number == k].mean() for k in np.unique(number)])
 
 
 def _straight(times: Floats, t_s: Floats) -> Floats:
