@@ -57,8 +57,10 @@ def looks_of(drift: Drift, error: Floats, at_mm: dict[str, Floats]) -> Looks:
 
 
 def scatter(value: Floats) -> float:
-    """Standard deviation of looks from the median step between neighbours: the drift itself hardly moves in one."""
-    return float(1.4826 * np.median(np.abs(np.diff(value))) / np.sqrt(2.0))
+    """Standard deviation of looks from the steps between neighbours, gross ones cut: what the drift moves counts too."""
+    step = np.diff(value)
+    limit = 3.0 * 1.4826 * float(np.median(np.abs(step)))
+    return float(np.sqrt(np.mean(np.clip(step, -limit, limit) ** 2) / 2.0))
 
 
 def join(

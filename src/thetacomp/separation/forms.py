@@ -38,14 +38,20 @@ def separate_all(machine: Machine, campaigns: Sequence[Campaign]) -> Separated:
         return Separated("separate", tuple(components), notes=_refusals(campaigns, reasons))
     joint = [separate_joint(machine, campaign) for campaign in campaigns]
     angles = tuple(s for one in joint for s in one.angles)
-    notes = [_chain_note(machine), *(note for one in joint for note in one.notes)]
+    notes = [_chain_note(machine, bool(angles)), *(note for one in joint for note in one.notes)]
     return Separated("joint", tuple(s for one in joint for s in one.components), angles, tuple(notes))
 
 
-def _chain_note(machine: Machine) -> str:
+def _chain_note(machine: Machine, with_angles: bool) -> str:
+    turning = (
+        "measured angles act over the arms of the axes behind them and of the tool"
+        if with_angles
+        else "no angles were measured (rA_urad, rB_urad, rC_urad at every point): tilts that stay the same along an"
+        " axis are in the slopes, what an axis turns along its own travel is left out"
+    )
     return (
         "joint form: drift is counted once for each direction; the axes are taken in the order of machine.toml,"
-        f" {', '.join(axis.name for axis in machine.axes)}, as the order from the workpiece to the tool"
+        f" {', '.join(axis.name for axis in machine.axes)}, as the order from the workpiece to the tool; {turning}"
     )
 
 

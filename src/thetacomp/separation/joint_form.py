@@ -62,12 +62,17 @@ class _Campaign:
     def share(
         self, fits: dict[str, list[AxisFit]], moving: Sequence[str], t_s: Floats, at_mm: dict[str, Floats]
     ) -> Floats:
-        """What the axes that do not move add at n points, and what angular errors add over their arms, (n, 3)."""
+        """What the axes that do not move add at n points, (n, 3)."""
         out = np.zeros((len(t_s), 3))
         names = np.array(moving, dtype=str)
         for axis in self.chain:
             share = axis_share_um(fits[axis.name], self.letters, t_s, at_mm[axis.name])
             out += np.where((names != axis.name)[:, None], share, 0.0)
+        return out
+
+    def arms(self, t_s: Floats, at_mm: dict[str, Floats]) -> Floats:
+        """What angular errors that change along an axis add over their arms at n points, (n, 3)."""
+        out = np.zeros((len(t_s), 3))
         arms_m = arms_behind_m(self.chain, at_mm)
         for name, some in self.angles.items():
             out += turned_um(axis_share_um(some, ANGLES, t_s, at_mm[name]), arms_m[name])
@@ -152,9 +157,11 @@ def _solved(whole: _Campaign) -> tuple[list[ComponentSeparation], dict[str, list
     assert points is not None
     moving = np.array(points.axis)
     at_mm = {a.name: np.where(moving == a.name, points.position_mm, points.at_mm[a.name]) for a in whole.chain}
-    alone = _fits(whole, points.error_um)
+    # The arms first: a slope that holds the turn of another axis must not be taken off together with that turn.
+    error = points.error_um - whole.arms(points.t_s, at_mm)
+    alone = _fits(whole, error)
     share = whole.share(alone, points.axis, points.t_s, at_mm)
-    fits = _fits(whole, points.error_um - share) if np.abs(share).max() > 1e-6 else alone
+    fits = _fits(whole, error - share) if np.abs(share).max() > 1e-6 else alone
     components: list[ComponentSeparation] = []
     for letter in whole.letters:
         own = {name: f for name, some in fits.items() for f in some if f.separation.direction == letter}
@@ -190,8 +197,9 @@ def _joined(
     nodes = sweeps
     looks = whole.looks
     if looks is not None and len(sweeps.t_s):
-        value = looks.error[:, whole.letters.index(letter)]
-        value = value - whole.share(alone, ("",) * len(value), looks.t_s, looks.at_mm)[:, whole.letters.index(letter)]
+        share = whole.share(alone, ("",) * len(looks.t_s), looks.t_s, looks.at_mm)
+        share += whole.arms(looks.t_s, looks.at_mm)
+        value = (looks.error - share)[:, whole.letters.index(letter)]
         seen = np.isfinite(value)
         if np.count_nonzero(seen) >= MIN_LOOKS:
             variance = scatter(value[seen]) ** 2 + 1e-6 + _share_variance(whole, own, looks)[seen]

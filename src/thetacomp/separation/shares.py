@@ -36,12 +36,13 @@ def node_weights(fitted: AxisFit, t_s: Floats) -> Floats:
     """Matrix (n, m) that turns values at the heated sweeps into values at other moments.
 
     Cubic Hermite between the sweeps with the rates of the parabola through neighbours, as inside a sweep (see
-    `joint.state_weights`); zero up to the end of the cold sweeps, along the last rate after the last sweep.
+    `joint.state_weights`); zero up to the reference, where the heat begins, along the last rate after the last sweep.
     """
     data, states = fitted.data, fitted.fit.states
     if not len(states):
         return np.zeros((len(t_s), 0))
-    times = np.concatenate([[data.t_s[data.cold[data.sweep]].max()], data.middle_s[states]])
+    zero_s = max(float(data.t_s[data.cold[data.sweep]].max()), fitted.separation.reference_s)
+    times = np.concatenate([[zero_s], data.middle_s[states]])
     rates, unit = rate_matrix(times), np.eye(len(times))
     j = np.clip(np.searchsorted(times, t_s, side="right") - 1, 0, len(times) - 2)
     step_s = times[j + 1] - times[j]
