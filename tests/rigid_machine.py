@@ -1,8 +1,8 @@
 """A machine of rigid bodies with known errors: homogeneous transforms of three axes, not the formula of the model.
 
-The chain is X (column on the bed), Y (headstock on the column), W (ram in the headstock), tool along -Z. Every joint has
-three displacements and three rotations, of position (geometry) and of heat. The tool error is the product of the exact
-matrices less the product of the ideal ones. Everything that is compared with it is measured on this product.
+The chain is X (column on the bed), Y (headstock on the column), W (ram in the headstock), tool along -Z. Every joint
+has three displacements and three rotations, of position (geometry) and of heat. The tool error is the product of the
+exact matrices less the product of the ideal ones. Everything that is compared with it is measured on this product.
 """
 
 from __future__ import annotations

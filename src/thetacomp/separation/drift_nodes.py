@@ -2,7 +2,7 @@
 
 Unknown are the drift at every heated sweep, at further moments where only the drift record looked, and one constant of
 that record: its instrument may have a zero of its own. The intercepts enter with their full covariance, the looks of
-the record with the scatter of neighbouring looks; between the nodes the drift runs straight.
+the record with the scatter of neighbouring looks.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.campaign import Drift, Floats, Ints
+from thetacomp.separation.shares import between_nodes
 
 LOOK_S = 120.0
 NODE_S = 600.0
@@ -57,56 +58,44 @@ def looks_of(drift: Drift, error: Floats, at_mm: dict[str, Floats]) -> Looks:
 
 
 def scatter(value: Floats) -> float:
-    """Standard deviation of looks from the steps between neighbours, gross ones cut: what the drift moves counts too."""
+    """Standard deviation of looks from the steps between neighbours, gross ones cut; the drift itself counts too."""
     step = np.diff(value)
     limit = 3.0 * 1.4826 * float(np.median(np.abs(step)))
     return float(np.sqrt(np.mean(np.clip(step, -limit, limit) ** 2) / 2.0))
 
 
 def join(
-    sweeps: Nodes, covariance: Floats, cold_s: Floats, look_s: Floats, look_value: Floats, look_variance: Floats
+    sweeps: Nodes, covariance: Floats, zero_s: float, look_s: Floats, look_value: Floats, look_arms: Floats, sd: float
 ) -> Nodes:
-    """Drift of the heated sweeps (m,) with their covariance (m, m), joined with the looks of a record (n,).
+    """Drift of the heated sweeps (m,) joined with the looks of a record (n,) of standard deviation `sd`.
 
-    `cold_s` are the moments of the cold sweeps, where the drift is zero by definition. `look_variance` (n,) holds
-    what is uncertain in a look.
+    The looks have the slopes' share taken off as separated; the errors of these p slopes are unknowns too, since they
+    are in the drift of the sweeps as well: `covariance` (m + p, m + p) is that of drift and slopes, `look_arms` (n, p)
+    is what each slope adds to a look. The drift is zero by definition up to `zero_s`.
     """
-    far_s = _far_bins(look_s, np.concatenate([cold_s, sweeps.t_s]))
-    order = np.argsort(np.concatenate([cold_s, sweeps.t_s, far_s]), kind="stable")
-    times = np.concatenate([cold_s, sweeps.t_s, far_s])[order]
-    weights = np.zeros((len(look_s), len(times)))
-    weights[:, order] = _straight(times, look_s)
-    m, q = len(sweeps.t_s), len(far_s)
-    design = np.column_stack([weights[:, len(cold_s) :], np.ones(len(look_s))])
-    information = np.linalg.pinv(covariance, hermitian=True)
-    normal = design.T @ (design / look_variance[:, None])
-    right = design.T @ (look_value / look_variance)
-    normal[:m, :m] += information
-    right[:m] += information @ sweeps.value
-    inverse = np.linalg.pinv(normal, hermitian=True)
-    value, se = (inverse @ right)[: m + q], np.sqrt(np.maximum(np.diag(inverse), 0.0))[: m + q]
+    m, p = len(sweeps.t_s), look_arms.shape[1]
+    far_s = _far_bins(look_s, zero_s, sweeps.t_s)
     t_s = np.concatenate([sweeps.t_s, far_s])
-    sweep = np.concatenate([sweeps.sweep, np.full(q, -1)])
-    sort = np.argsort(t_s, kind="stable")
-    return Nodes(t_s[sort], value[sort], se[sort], sweep[sort])
+    order = np.argsort(t_s, kind="stable")
+    drift = np.zeros((len(look_s), len(t_s)))
+    drift[:, order] = between_nodes(zero_s, t_s[order], look_s)
+    design = np.column_stack([drift[:, :m], look_arms, drift[:, m:], np.ones(len(look_s))])
+    information = np.linalg.pinv(covariance, hermitian=True)
+    normal = design.T @ design / sd**2
+    right = design.T @ look_value / sd**2
+    normal[: m + p, : m + p] += information
+    right[: m + p] += information @ np.concatenate([sweeps.value, np.zeros(p)])
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    kept = np.concatenate([np.arange(m), m + p + np.arange(len(far_s))])[order]
+    sweep = np.concatenate([sweeps.sweep, np.full(len(far_s), -1)])
+    return Nodes(t_s[order], (inverse @ right)[kept], np.sqrt(np.maximum(np.diag(inverse)[kept], 0.0)), sweep[order])
 
 
-def _far_bins(look_s: Floats, known_s: Floats) -> Floats:
-    """Further nodes: mean times of looks more than ten minutes from every sweep, in bins of ten minutes."""
-    distance_s = np.abs(look_s[:, None] - known_s).min(axis=1)
-    far_s: Floats = look_s[(distance_s > NODE_S) & (look_s > known_s.min())]
+def _far_bins(look_s: Floats, zero_s: float, sweep_s: Floats) -> Floats:
+    """Further nodes: mean times of looks more than ten minutes from every heated sweep, in bins of ten minutes."""
+    distance_s = np.abs(look_s[:, None] - np.append(sweep_s, zero_s)).min(axis=1)
+    far_s: Floats = look_s[(distance_s > NODE_S) & (look_s > zero_s)]
     if not len(far_s):
         return far_s
     number = np.floor((far_s - far_s[0]) / NODE_S)
     return np.array([far_s[number == k].mean() for k in np.unique(number)])
-
-
-def _straight(times: Floats, t_s: Floats) -> Floats:
-    """Weights (n, nodes) of straight lines between the nodes, held at the ends."""
-    j = np.clip(np.searchsorted(times, t_s, side="right") - 1, 0, max(len(times) - 2, 0))
-    share = np.clip((t_s - times[j]) / (times[j + 1] - times[j]), 0.0, 1.0)
-    weights = np.zeros((len(t_s), len(times)))
-    rows = np.arange(len(t_s))
-    weights[rows, j] = 1.0 - share
-    weights[rows, j + 1] += share
-    return weights

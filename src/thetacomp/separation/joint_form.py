@@ -202,8 +202,9 @@ def _joined(
         value = (looks.error - share)[:, whole.letters.index(letter)]
         seen = np.isfinite(value)
         if np.count_nonzero(seen) >= MIN_LOOKS:
-            variance = scatter(value[seen]) ** 2 + 1e-6 + _share_variance(whole, own, looks)[seen]
-            nodes = join(sweeps, covariance, cold_s, looks.t_s[seen], value[seen], variance)
+            arms = _look_arms(whole, own, looks)[seen]
+            zero_s = max(whole.reference_s, max(float(f.separation.zero_t_s.max()) for f in own.values()))
+            nodes = join(sweeps, covariance, zero_s, looks.t_s[seen], value[seen], arms, scatter(value[seen]) + 1e-3)
     constants = np.array([f.constant_um for f in own.values()])
     drift = _drift_component(whole, letter, own, nodes, (cold_s, cold_sweep), constants, first)
     by_sweep = dict(zip(nodes.sweep.tolist(), nodes.value.tolist(), strict=True))
@@ -211,9 +212,10 @@ def _joined(
 
 
 def _drift_of_sweeps(whole: _Campaign, own: dict[str, AxisFit], at_mm: dict[str, Floats]) -> tuple[Nodes, Floats]:
-    """Intercepts of all heated sweeps in order of time, (m,), and their covariance (m, m).
+    """Drift of all heated sweeps in order of time, (m,), and the covariance (2 m, 2 m) of drift and slopes.
 
-    The slopes of the other axes were taken off times their distance from P0: their errors go into the drift.
+    The slopes of the other axes were taken off times their distance from P0: their errors go into the drift. The
+    slopes come axis by axis, as in `own`.
     """
     points = whole.campaign.sweeps
     assert points is not None
@@ -238,21 +240,21 @@ def _drift_of_sweeps(whole: _Campaign, own: dict[str, AxisFit], at_mm: dict[str,
             values.append(fitted.fit.intercept_um[j])
             numbers.append(int(fitted.separation.sweep[state]))
     order = np.argsort(times, kind="stable")
-    design = np.array(rows).reshape(-1, size)[order]
+    slopes_only = [starts[name] + len(f.fit.states) + np.arange(len(f.fit.states)) for name, f in own.items()]
+    design = np.vstack([np.array(rows).reshape(-1, size)[order], np.eye(size)[np.concatenate(slopes_only)]])
     covariance = design @ linalg.block_diag(*blocks) @ design.T
     t_s, value, sweep = np.array(times)[order], np.array(values)[order], np.array(numbers, dtype=np.int64)[order]
-    return Nodes(t_s, value, np.sqrt(np.maximum(np.diag(covariance), 0.0)), sweep), covariance
+    se = np.sqrt(np.maximum(np.diag(covariance)[: len(t_s)], 0.0))
+    return Nodes(t_s, value, se, sweep), covariance
 
 
-def _share_variance(whole: _Campaign, own: dict[str, AxisFit], looks: Looks) -> Floats:
-    """Variance (n,) that the slopes bring into a look away from P0."""
-    variance = np.zeros(len(looks.t_s))
-    for axis in whole.chain:
-        if axis.name in own:
-            weights = node_weights(own[axis.name], looks.t_s)
-            spread = np.einsum("ij,jk,ik->i", weights, own[axis.name].slope_covariance, weights)
-            variance += axis.arm_m(looks.at_mm[axis.name]) ** 2 * spread
-    return variance
+def _look_arms(whole: _Campaign, own: dict[str, AxisFit], looks: Looks) -> Floats:
+    """What every slope of every axis adds to a look, µm for a µm/m, (n, slopes)."""
+    parts = []
+    for name, fitted in own.items():
+        axis = next(axis for axis in whole.chain if axis.name == name)
+        parts.append(node_weights(fitted, looks.t_s) * axis.arm_m(looks.at_mm[name])[:, None])
+    return np.hstack(parts)
 
 
 def _drift_component(

@@ -21,28 +21,27 @@ class AxisFit:
     separation: ComponentSeparation
 
     @property
-    def slope_covariance(self) -> Floats:
-        """Covariance (m, m) of the slopes of the heated sweeps."""
-        m = len(self.fit.states)
-        return self.fit.line_covariance[m:, m:]
-
-    @property
     def constant_um(self) -> float:
         """Geometry at P0, mean of the approach directions."""
         return float(geometry_um(self, np.array([self.data.p0_mm]))[0])
 
 
 def node_weights(fitted: AxisFit, t_s: Floats) -> Floats:
-    """Matrix (n, m) that turns values at the heated sweeps into values at other moments.
-
-    Cubic Hermite between the sweeps with the rates of the parabola through neighbours, as inside a sweep (see
-    `joint.state_weights`); zero up to the reference, where the heat begins, along the last rate after the last sweep.
-    """
+    """Matrix (n, m) that turns values at the heated sweeps into values at other moments; zero up to the reference."""
     data, states = fitted.data, fitted.fit.states
     if not len(states):
         return np.zeros((len(t_s), 0))
     zero_s = max(float(data.t_s[data.cold[data.sweep]].max()), fitted.separation.reference_s)
-    times = np.concatenate([[zero_s], data.middle_s[states]])
+    return between_nodes(zero_s, data.middle_s[states], t_s)
+
+
+def between_nodes(zero_s: float, node_s: Floats, t_s: Floats) -> Floats:
+    """Matrix (n, m) of interpolation between nodes (m,) in order of time, zero up to `zero_s`, where the heat begins.
+
+    Cubic Hermite with the rates of the parabola through neighbouring nodes, as inside a sweep (`joint.state_weights`);
+    after the last node it goes on at the last rate.
+    """
+    times = np.concatenate([[zero_s], node_s])
     rates, unit = rate_matrix(times), np.eye(len(times))
     j = np.clip(np.searchsorted(times, t_s, side="right") - 1, 0, len(times) - 2)
     step_s = times[j + 1] - times[j]
