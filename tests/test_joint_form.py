@@ -180,3 +180,18 @@ def test_interpolation_follows_a_parabola_and_is_zero_before_the_heat() -> None:
     t_s = np.array([0.0, 1.0, 1.5, 2.5, 4.0])
     found = between_nodes(1.0, node_s, t_s) @ (node_s - 1.0) ** 2
     np.testing.assert_allclose(found, [0.0, 0.0, 0.25, 2.25, 9.0], atol=1e-12)
+
+
+def test_sweeps_that_do_not_see_the_same_drift_are_named() -> None:
+    """A frame that moves by 30 µm at the sweeps of Y alone: their drift cannot be that of X and W."""
+    rng = np.random.default_rng(4)
+    campaign = measure(draw_rigid(rng, turning=False), rng)
+    points = campaign.sweeps
+    moved = points.error_um.copy()
+    moved[(np.array(points.axis) == "Y") & (points.t_s > REFERENCE_S), 0] += 30.0
+    clean, bad = (
+        next(s for s in separate_joint(MACHINE, c).components if s.component == "DX").notes
+        for c in (campaign, replace(campaign, sweeps=replace(points, error_um=moved)))
+    )
+    assert not any("see a drift that differs" in note for note in clean)
+    assert any(note.startswith("the sweeps along Y see a drift that differs") for note in bad)

@@ -106,6 +106,7 @@ def analyze_folder(
         acceptance=acceptance,
         notes=notes,
         held_out=held_out,
+        angles=separated.angles,
     )
 
 

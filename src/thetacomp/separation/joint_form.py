@@ -297,7 +297,7 @@ def _drift_component(
         noise_sd_um=float("nan"),
         dof=float("nan"),
         cold_intercept_um=float(constants.mean()),
-        notes=_drift_notes(letter, list(own), nodes, constants, first),
+        notes=(*_drift_notes(letter, list(own), nodes, constants, first), *_closure_notes(letter, own, nodes)),
         form="joint",
     )
 
@@ -318,6 +318,29 @@ def _drift_notes(
         f"the constants of the cold sweeps along {listed} differ by up to {spread_um:.1f} µm (reversal of resting axes,"
         " drift during the cold block); the geometry has their mean",
     )
+
+
+def _closure_notes(letter: str, own: dict[str, AxisFit], nodes: Nodes) -> tuple[str, ...]:
+    """Axes whose sweeps see another drift than the sweeps of the others, by more than chance explains."""
+    notes = []
+    unit = "µrad" if letter in ANGLES else "µm"
+    for name, fitted in own.items():
+        mine = np.isin(nodes.sweep, fitted.separation.sweep)
+        if len(own) < 3 or not mine.any():
+            continue
+        known_s, known = nodes.t_s[~mine], nodes.value[~mine]
+        inside = mine & (nodes.t_s > known_s.min()) & (nodes.t_s < known_s.max())
+        if np.count_nonzero(inside) < 3:
+            continue
+        apart = nodes.value[inside] - np.interp(nodes.t_s[inside], known_s, known)
+        typical, chance = float(np.sqrt(np.mean(apart**2))), float(np.sqrt(2.0 * np.mean(nodes.se**2)))
+        if typical > 3.0 * chance:
+            notes.append(
+                f"the sweeps along {name} see a drift that differs from that of the other sweeps by {typical:.0f}"
+                f" {unit} (RMS; chance alone: {chance:.0f}): a line does not follow a bend that grows with heat, or the"
+                " frame moved between the sweeps"
+            )
+    return tuple(notes)
 
 
 def _without_drift(fitted: AxisFit, drift: dict[int, float]) -> ComponentSeparation:
