@@ -13,7 +13,7 @@ from thetacomp.campaign import Campaign, CampaignSettings, Drift, Parameters, Sw
 from thetacomp.errors import AnalysisError
 from thetacomp.separation import separate_campaign
 from thetacomp.separation.geometry import choose_curve, polynomial, smoothing_spline
-from thetacomp.separation.joint import _rate_matrix
+from thetacomp.separation.joint import rate_matrix
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 
 
@@ -107,7 +107,7 @@ def test_every_point_has_its_own_time() -> None:
 def test_rate_is_that_of_a_parabola() -> None:
     times = np.array([0.0, 1.0, 2.5, 4.0])
     parabola = 3.0 + 2.0 * times - 0.5 * times**2
-    assert _rate_matrix(times) @ parabola == pytest.approx(2.0 - times)
+    assert rate_matrix(times) @ parabola == pytest.approx(2.0 - times)
 
 
 def test_a_bend_is_found_and_told_in_um() -> None:

@@ -15,10 +15,11 @@ from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_
 from thetacomp.models.build import build_document
 from thetacomp.models.document import HistoryAxis
 from thetacomp.models.fallbacks import AxisFallback, axis_fallbacks
+from thetacomp.models.form import with_form
 from thetacomp.models.history_model import MIN_CAMPAIGNS
 from thetacomp.models.procedures import key_point_procedure, paper_procedure
 from thetacomp.screening import fit_screening, screen
-from thetacomp.separation import ComponentSeparation, separate_campaign
+from thetacomp.separation import ComponentSeparation, separate_all
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.field import sensor_rises
@@ -26,6 +27,7 @@ from thetacomp.temperature.layout import layout_checks
 from thetacomp.validation.acceptance import KEY_POINTS, acceptance_checks, acceptance_of_static_law, in_words
 from thetacomp.validation.calibrated import calibrated_history
 from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test
+from thetacomp.validation.joint_view import with_drift
 from thetacomp.validation.lost_sensors import with_fallbacks
 from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
@@ -61,7 +63,8 @@ def analyze_folder(
     progress("screening temperatures")
     findings = _screening_notes(campaigns)
     progress("separating geometry and heat")
-    separations = tuple(result for campaign in campaigns for result in separate_campaign(folder.machine, campaign))
+    separated = separate_all(folder.machine, campaigns)
+    separations = separated.components
     if not separations:
         raise AnalysisError(
             "there are no sweeps, parameters or drift in the chosen campaigns: nothing to model."
@@ -74,11 +77,17 @@ def analyze_folder(
     procedure, paper = key_point_procedure(folder.machine), paper_procedure(folder.machine)
     fitted = _fit(training, procedure)
     fitted_paper = _fit_where_possible(training, paper)
-    notes = mixed + _notes(campaigns, separations) + _dropped_notes(separations, everything) + findings
+    notes = (
+        mixed + _notes(campaigns, separations) + separated.notes + _dropped_notes(separations, everything) + findings
+    )
     history = _fit_history(folder, separations, train, everything, training, test)
     progress("making fallbacks for lost sensors")
     model = build_document(folder, fitted, METHOD, train, notes, _fallbacks(fitted, procedure), history)
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
+    model, paper_model = (
+        with_form(document, folder, separated, some, train)
+        for document, some in ((model, fitted), (paper_model, fitted_paper))
+    )
 
     progress("validating on held-out data")
     residuals, rows, held_out, fold_notes = _validate(folder, everything, test, fitted, model.history, procedure, paper)
@@ -105,6 +114,7 @@ def analyze_folder(
         acceptance=acceptance,
         notes=notes,
         held_out=held_out,
+        angles=separated.angles,
     )
 
 
@@ -197,17 +207,6 @@ def _dropped_notes(separations: Sequence[ComponentSeparation], everything: Seque
     )
 
 
-def _position_notes(campaigns: Sequence[Campaign]) -> list[str]:
-    """Positions of the other axes that the model of this version does not use."""
-    return [
-        f"campaign {campaign.name}: positions of other axes during a sweep ({', '.join(campaign.sweeps.at_mm)}) are not"
-        " used: an intercept holds the tilt of the other axes at those positions, and the drift of one direction is"
-        " exported from one sweep only"
-        for campaign in campaigns
-        if campaign.sweeps is not None and campaign.sweeps.at_mm
-    ]
-
-
 def _validate(
     folder: MachineFolder,
     everything: Sequence[AxisStates],
@@ -237,14 +236,16 @@ def _validate(
             procedures["training_mean"] = training_mean
         split, folds = "test" if test else hold_out(states)[0], _main_folds(states, test)
         own: list[Residuals] = []
+        # In the joint form a point of a sweep is judged with the drift of its moment: the whole error of the tool.
+        judged, procedures = with_drift(states, everything, procedures)
         for kind, some in ((split, folds), (FORWARD, _new_folds(forward_in_time(states), folds))):
             if some:
-                own += held_out_residuals(states, kind, some, procedures)
+                own += held_out_residuals(judged, kind, some, procedures)
         notes += _fold_notes(states, folds, procedure, stored.get(states.axis, ()))
         cartesian = next((a.cartesian for a in folder.machine.axes if a.name == states.axis), "")
         for item in own:
             rows += rows_of(item, states.campaigns)
-        rows += column_rows(states, own, cartesian)
+        rows += column_rows(judged, own, cartesian)
         by_state += held_out_states(states, [item for item in own if item.split != FORWARD], "default")
         residuals += own
     return residuals, tuple(rows), tuple(by_state), tuple(notes)
@@ -292,7 +293,6 @@ def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparat
     ties = [(c.name, c.tracker) for c in campaigns if c.tracker is not None]
     notes += [f"campaign {name}, tracker: {note}" for name, tie in ties for note in (*tie.notes, *tie.doubts)]
     notes += [note for campaign in campaigns for note in _cold_notes(campaign)]
-    notes += _position_notes(campaigns)
     notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]
     return tuple(dict.fromkeys(notes))
 

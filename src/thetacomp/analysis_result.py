@@ -18,7 +18,7 @@ class Analysis:
 
     `parameter_correlations` has rows such as `EYX intercept` and the sensors as columns; `sensor_correlations` is
     sensors by sensors. `held_out` is the default model on states that it has not seen. `permutations` are absent where
-    too few states exist to shuffle.
+    too few states exist to shuffle. `angles` are the separated angles of the joint form, in µrad and µrad/m.
     """
 
     folder: MachineFolder
@@ -35,3 +35,4 @@ class Analysis:
     acceptance: tuple[AcceptanceCheck, ...]
     notes: tuple[str, ...]
     held_out: tuple[HeldOutStates, ...] = ()
+    angles: tuple[ComponentSeparation, ...] = ()

@@ -9,12 +9,14 @@ from dataclasses import astuple, fields
 from pathlib import Path
 
 from thetacomp.analysis_result import Analysis
+from thetacomp.separation import ComponentSeparation
 from thetacomp.validation.result import ValidationRow
 
 
 def write_tables(analysis: Analysis, out: Path) -> tuple[Path, ...]:
     """Write model.json, separation.csv, geometry.csv, keypoints.csv, validation.csv, acceptance.csv; return the paths.
 
+    `angles.csv` is written where angles were measured.
     Numbers have a decimal point and six significant digits, a missing value is an empty cell, the text is UTF-8.
     """
     out.mkdir(parents=True, exist_ok=True)
@@ -23,7 +25,8 @@ def write_tables(analysis: Analysis, out: Path) -> tuple[Path, ...]:
     held_out = [row for row in analysis.validation if row.split != "forward"]
     return (
         out / "model.json",
-        _table(out / "separation.csv", SEPARATION_COLUMNS, _separation_rows(analysis)),
+        _table(out / "separation.csv", SEPARATION_COLUMNS, _separation_rows(analysis.separations)),
+        *((_table(out / "angles.csv", ANGLE_COLUMNS, _separation_rows(analysis.angles)),) if analysis.angles else ()),
         _table(out / "geometry.csv", GEOMETRY_COLUMNS, _geometry_rows(analysis)),
         _table(out / "keypoints.csv", KEYPOINT_COLUMNS, _keypoint_rows(analysis)),
         _validation(out / "validation.csv", held_out),
@@ -49,12 +52,13 @@ SEPARATION_COLUMNS = (
     "p0_mm",
     "cold",
 )
+ANGLE_COLUMNS = tuple(name.replace("_um", "_urad") for name in SEPARATION_COLUMNS)
 GEOMETRY_COLUMNS = ("campaign", "component", "direction", "position_mm", "geometry_um", "geometry_se_um", "model")
 KEYPOINT_COLUMNS = ("axis", "method", "strategy", "sensor", "stays", "figure", "figure_name", "reason")
 
 
-def _separation_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
-    for s in analysis.separations:
+def _separation_rows(separations: Iterable[ComponentSeparation]) -> Iterable[Sequence[object]]:
+    for s in separations:
         for k in range(len(s.t_s)):
             yield (
                 s.campaign,

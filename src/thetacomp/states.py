@@ -24,7 +24,8 @@ class Samples:
 
     Measured points where sweeps exist, the separated line over the travel where only parameters do, the displacement
     itself for drift. `state` is the row of AxisStates; `lever_m` the distance from P0; `noise_sd_um` the scatter of
-    the instrument; `history` (n, k) the inputs that AxisStates.layout describes.
+    the instrument; `history` (n, k) the inputs that AxisStates.layout describes. `drift_um` is the drift of that moment
+    where it was separated apart (joint form), else zero; it is no part of `value_um`.
     """
 
     state: Ints
@@ -34,6 +35,7 @@ class Samples:
     rise_K: Floats
     noise_sd_um: Floats
     history: Floats
+    drift_um: Floats
 
     def take(self, rows: Ints | Bools) -> Samples:
         """Some of the samples; `state` goes on naming the same states."""
@@ -228,7 +230,7 @@ def _campaign_states(
         p0_mm=p0_mm,
         p_min_mm=min(s.p_min_mm for s in own),
         p_max_mm=max(s.p_max_mm for s in own),
-        exact_zero=zero_degC is None and all(s.points is not None for s in own),
+        exact_zero=zero_degC is None and all(s.exact_zero for s in own),
         rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
         reference_degC=np.tile(reference, (n, 1)),
         reference_s=np.full(n, reference_s),
@@ -320,7 +322,12 @@ def _samples(
     else:
         state, t_s, value = np.searchsorted(states, s.sweep), s.t_s, s.intercept_um
         position = np.full(len(t_s), p0_mm)
+    if s.points is not None and s.points.drift_um is not None:
+        drift = s.points.drift_um[~s.points.outlier]
+    else:
+        drift = np.zeros(len(value))
     known = np.isfinite(value)
+    drift = drift[known]
     state, t_s, position, value = state[known], t_s[known], position[known], value[known]
     noise = s.noise_sd_um if s.points is not None else 0.0
     return Samples(
@@ -331,6 +338,7 @@ def _samples(
         rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
         noise_sd_um=np.full(len(t_s), noise),
         history=track.at(t_s),
+        drift_um=drift,
     )
 
 
@@ -343,4 +351,5 @@ def _stack_samples(parts: Sequence[Samples], starts: Ints) -> Samples:
         rise_K=np.concatenate([part.rise_K for part in parts]),
         noise_sd_um=np.concatenate([part.noise_sd_um for part in parts]),
         history=np.concatenate([part.history for part in parts]),
+        drift_um=np.concatenate([part.drift_um for part in parts]),
     )

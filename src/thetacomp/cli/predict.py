@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,9 +12,11 @@ import typer
 from thetacomp.cli.common import JsonOption, Outcome, run
 
 if TYPE_CHECKING:
-    from thetacomp.campaign import Temperatures
+    from thetacomp.campaign import Duty, Temperatures
     from thetacomp.models.document import ModelDocument
     from thetacomp.prediction import Breach, Prediction, Reference
+    from thetacomp.reading.lone import Positions
+    from thetacomp.volumetric import VolumePrediction
 
 EARLIEST_DATE_S = 1e8  # tables with dates count from 1970; no campaign runs for three years
 
@@ -22,7 +24,9 @@ EARLIEST_DATE_S = 1e8  # tables with dates count from 1970; no campaign runs for
 def predict(
     model: Annotated[Path, typer.Argument(help="The model.json that `thetacomp analyze` wrote.")],
     temperatures: Annotated[Path, typer.Option(help="Table: t_s and one column a sensor, °C.")],
-    positions: Annotated[Path, typer.Option(help="Table: t_s, axis, position_mm; axis empty for drift.")],
+    positions: Annotated[
+        Path, typer.Option(help="Table: t_s, axis, position_mm (axis empty: drift); or t_s and <axis>_mm of all axes.")
+    ],
     out: Annotated[Path, typer.Option(help="CSV file to write.")],
     duty: Annotated[
         Path | None, typer.Option(help="Table: t_s, spindle_rpm; where the model was trained with the spindle speed.")
@@ -39,7 +43,6 @@ def predict(
 def _predict(
     model_path: Path, temperatures_path: Path, positions_path: Path, duty_path: Path | None, out: Path, reference: str
 ) -> Outcome:
-    from thetacomp.errors import AnalysisError
     from thetacomp.models.document import load_model
     from thetacomp.prediction import predict, write_prediction
     from thetacomp.reading import read_duty, read_positions, read_temperatures
@@ -47,17 +50,44 @@ def _predict(
     model = load_model(model_path)
     temperatures = read_temperatures(temperatures_path)
     positions = read_positions(positions_path)
-    if positions.at_mm:
-        raise AnalysisError(
-            f"{positions_path}: positions of several axes at once ({', '.join(f'{a}_mm' for a in positions.at_mm)})"
-            " need the joint form, which this version does not have. Fix: give t_s, axis, position_mm."
-        )
     moment = _reference(reference, temperatures)
     duty = read_duty(duty_path) if duty_path is not None else None
+    if positions.at_mm:
+        return _predict_volume(model, temperatures, positions, duty, moment, out, _place(positions_path))
     prediction = predict(model, temperatures, positions, moment, _place(positions_path), duty)
     write_prediction(prediction, out)
-    zero = _reference_text(moment, temperatures, model, prediction)
-    return _outcome(model, prediction, out, zero, tool_length_given=positions.tool_length_mm is not None)
+    zero = _reference_text(moment, temperatures, model, prediction.axis)
+    lines = ["  tool_length_mm was not used: it needs the positions of all axes, as columns <axis>_mm."]
+    return _outcome(model, prediction, prediction.axis, out, zero, lines * (positions.tool_length_mm is not None))
+
+
+def _predict_volume(
+    model: ModelDocument,
+    temperatures: Temperatures,
+    positions: Positions,
+    duty: Duty | None,
+    moment: Reference,
+    out: Path,
+    place: Callable[[int], str],
+) -> Outcome:
+    """Positions of all axes at once: the joint form."""
+    from thetacomp.errors import AnalysisError
+    from thetacomp.volumetric import predict_volume, write_volume
+
+    if any(positions.axis):
+        raise AnalysisError(
+            f"{place(0)}: an axis with position_mm stands beside {', '.join(f'{name}_mm' for name in positions.at_mm)}."
+            " Fix: give either t_s, axis, position_mm, or t_s and one column for each axis."
+        )
+    at_mm, length_mm = positions.at_mm, positions.tool_length_mm
+    prediction = predict_volume(model, temperatures, positions.t_s, at_mm, length_mm, moment, place, duty)
+    write_volume(prediction, out)
+    zero = _reference_text(moment, temperatures, model, ("", *prediction.positions_mm))
+    lines = [f"  No component {', '.join(prediction.absent)}: the values of these directions are empty."]
+    lines = lines * bool(prediction.absent)
+    if prediction.lean:
+        lines.append(f"  Tool length, {model.tool_length_mm:g} mm in the measurements: {prediction.lean}.")
+    return _outcome(model, prediction, ("", *prediction.positions_mm), out, zero, lines)
 
 
 def _place(path: Path) -> Callable[[int], str]:
@@ -100,12 +130,10 @@ def _reference(text: str, temperatures: Temperatures) -> Reference:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def _reference_text(
-    reference: Reference, temperatures: Temperatures, model: ModelDocument, prediction: Prediction
-) -> str:
+def _reference_text(reference: Reference, temperatures: Temperatures, model: ModelDocument, axes: Sequence[str]) -> str:
     """Where the thermal error counts as zero in this prediction, in words."""
     if reference == "model":
-        asked = [c for c in model.components.values() if (c.axis or "") in prediction.axis]
+        asked = [c for c in model.components.values() if (c.axis or "") in axes]
         zeros = [
             model.history[c.axis or ""].reference if (c.axis or "") in model.history else c.reference for c in asked
         ]
@@ -144,8 +172,14 @@ def _breach_text(breach: Breach) -> str:
 
 
 def _outcome(
-    model: ModelDocument, prediction: Prediction, out: Path, reference: str, *, tool_length_given: bool
+    model: ModelDocument,
+    prediction: Prediction | VolumePrediction,
+    axes: Sequence[str],
+    out: Path,
+    reference: str,
+    further: list[str],
 ) -> Outcome:
+    """What a person wants to know of a prediction; `axes` were asked for, `further` lines are said in the middle."""
     import numpy as np
 
     rows = len(prediction.t_s)
@@ -154,7 +188,7 @@ def _outcome(
         f"d{d}_um": float(np.nanmax(np.abs(column))) if np.isfinite(column).any() else None
         for d, column in zip("XYZ", prediction.error_um.T, strict=True)
     }
-    asked = {name: c for name, c in model.components.items() if (c.axis or "") in prediction.axis}
+    asked = {name: c for name, c in model.components.items() if (c.axis or "") in axes}
     unpredicted = [name for name, c in asked.items() if not c.inputs and (c.axis or "") not in model.history]
     history = sorted({c.axis or "drift" for c in asked.values() if (c.axis or "") in model.history})
     lines = [f"{_rows(rows)} written to {out}", f"  reference: {reference}"]
@@ -176,8 +210,7 @@ def _outcome(
         lines.append("  Some bounds are empty: the fit had no degree of freedom left to tell them.")
     if unpredicted:
         lines.append(f"  No sensor predicts {', '.join(unpredicted)}: they do not change with temperature here.")
-    if tool_length_given:
-        lines.append("  tool_length_mm was not used: the model has no rotations.")
+    lines += further
     if model.sign == "unproven":
         lines.append("  SIGN UNPROVEN: the source of the model does not state its sign convention or axis directions.")
     if model.failed_checks:

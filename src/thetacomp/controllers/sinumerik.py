@@ -225,6 +225,8 @@ def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: 
     _check_sum(settings, sums, settings_file)
     counted = {d: bound[source] for d, source in sources.items() if source}
     pairs = [(law, counted[d]) for law in bound.values() if (d := law.component.direction) in counted]
+    # In the joint form no intercept holds the drift but that of the drift itself: nothing is left out.
+    pairs = pairs if model.form == "separate" else []
     left_out = [_left_out(law, other, grid) for law, other in pairs if law is not other]
     orphans = [law for law in bound.values() if not outputs[law.component.direction]]
     if len(orphans) == len(bound):
@@ -252,7 +254,12 @@ def _output_axis(model: ModelDocument, settings: SinumerikSettings, direction: s
 
 
 def _drift_source(model: ModelDocument, settings: SinumerikSettings, direction: str, output: str | None) -> str | None:
-    """The one component whose intercept becomes K0: as set, else an axis along the direction, Y sweep, any other."""
+    """The one component whose intercept becomes K0: as set, else an axis along the direction, Y sweep, any other.
+
+    In the joint form it is the drift alone: every other intercept is zero.
+    """
+    if model.form == "joint":
+        return f"D{direction}" if f"D{direction}" in model.components else None
     if direction in settings.drift_source:
         return settings.drift_source[direction]
     candidates = [name for name, component in model.components.items() if component.direction == direction]
@@ -391,6 +398,13 @@ def _check_settings(model: ModelDocument, settings: SinumerikSettings, file: str
             known = [n for n, component in model.components.items() if component.direction == direction]
             found.append(
                 (f"drift_source.{direction} = {name!r}: not an error in {direction}.", f"choose from {known}.")
+            )
+        elif model.form == "joint" and model.components[name].axis is not None:
+            found.append(
+                (
+                    f"drift_source.{direction} = {name!r}: the model is in the joint form, its drift is D{direction}.",
+                    "leave the setting out.",
+                )
             )
         elif not model.components[name].inputs:
             found.append((f"drift_source.{direction} = {name!r}: no sensor predicts it.", "choose another error."))

@@ -329,6 +329,11 @@ def _drift(plan: Plan) -> str:
     counted = [
         f"{a.axis.cartesian}: {a.drift_source}, into K0 of {a.channel_axis}" for a in plan.axes if a.drift_source
     ]
+    if plan.model.form == "joint":
+        return (
+            "<h2>6 The drift counts once</h2><p>The model holds the drift apart from the axes (joint form):"
+            f" {escape('; '.join(counted) or 'no sensor predicts it')}. The slopes act about the P0 of their axis.</p>"
+        )
     text = (
         "<h2>6 The drift counts once</h2><p>The intercepts of sweeps along different axes all hold the drift of the"
         f" tool at that moment. One of them is used in each direction: {escape('; '.join(counted))}. Change this with"

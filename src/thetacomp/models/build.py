@@ -39,7 +39,7 @@ def build_document(
             ranges[name] = _widen(ranges.get(name), reading)
     for states, model in fitted:
         for k, component in enumerate(states.components):
-            components[component] = _component(states, model, k)
+            components[component] = component_of(states, model, k)
     unproven = any(campaign.settings.sign == "unproven" for campaign in campaigns)
     return ModelDocument(
         version=__version__,
@@ -69,7 +69,7 @@ def _fallbacks(fallbacks: Sequence[AxisFallback]) -> tuple[Fallback, ...]:
         Fallback(
             lost=lost,
             components={
-                name: _component(item.states, item.model, k)
+                name: component_of(item.states, item.model, k)
                 for item in fallbacks
                 if item.lost == lost
                 for k, name in enumerate(item.states.components)
@@ -85,7 +85,8 @@ def _widen(span: tuple[float, float] | None, values: np.ndarray) -> tuple[float,
     return (low, high) if span is None else (min(low, span[0]), max(high, span[1]))
 
 
-def _component(states: AxisStates, model: AxisModel, k: int) -> Component:
+def component_of(states: AxisStates, model: AxisModel, k: int, direction: str = "") -> Component:
+    """The stored component number k of an axis, with its equation in print; `direction` where no name says it."""
     name = states.components[k]
     regression = model.regressions[name]
     samples = states.samples[k]
@@ -107,7 +108,7 @@ def _component(states: AxisStates, model: AxisModel, k: int) -> Component:
     drift = states.is_drift
     return Component.model_validate(
         {
-            "direction": name[1],
+            "direction": direction or name[1],
             "axis": None if drift else states.axis,
             "p0_mm": None if drift else states.p0_mm,
             "p_min_mm": None if drift else states.p_min_mm,
@@ -157,6 +158,9 @@ def equation(states: AxisStates, model: AxisModel, k: int) -> str:
     if states.is_drift:
         return f"{name} = {terms[0]}   [µm; {units}]"
     lever = f"({states.axis} - {states.p0_mm:g})" if states.p0_mm else states.axis
+    if states.exact_zero and not np.any(states.intercept_um[:, k]):
+        # Joint form: the drift of all axes is a component of its own.
+        return f"{name} = ({terms[1]}) {lever}/1000   [µm; {states.axis} in mm, {units}]"
     return f"{name} = ({terms[1]}) {lever}/1000 + ({terms[0]})   [µm; {states.axis} in mm, {units}]"
 
 

@@ -60,14 +60,17 @@ def fit_over_temperature(analysis: Analysis) -> list[style.NamedFigure]:
 
 def _figure(analysis: Analysis, axis: str | None, names: Sequence[str]) -> style.NamedFigure:
     components = [analysis.model.components[name] for name in names]
-    columns = 2 if axis is not None else 1
+    # In the joint form the intercept of an axis is zero: the drift has a figure of its own.
+    shown = ("slope",) if axis is not None and analysis.model.form == "joint" else ("intercept", "slope")
+    columns = len(shown) if axis is not None else 1
     figure = style.new_figure(0.8 + 2.15 * len(names))
     counts = {min(len(c.inputs), 2) for c in components}
-    same_x = counts <= {0, 1} and len({c.inputs for c in components}) == 1 and columns == 2
+    same_x = counts <= {0, 1} and len({c.inputs for c in components}) == 1 and axis is not None
     grid = figure.subplots(len(names), columns, squeeze=False, sharex="col" if same_x else False)
     norm = style.time_norm([s.t_s for name in names for s in _parts(analysis, name)])
     for row, name, component in zip(grid, names, components, strict=True):
-        for axes, term, what in zip(row, (component.intercept, component.slope), ("intercept", "slope"), strict=False):
+        for axes, what in zip(row, shown, strict=False):
+            term = component.intercept if what == "intercept" else component.slope
             if term is not None:
                 _draw_fit(axes, analysis, name, term, what, norm)
     if same_x:
@@ -77,7 +80,7 @@ def _figure(analysis: Analysis, axis: str | None, names: Sequence[str]) -> style
     handles = _legend([s for name in names for s in _parts(analysis, name)], counts)
     if handles:
         figure.legend(handles=handles, loc="outside upper right", ncols=5)
-    kinds = "Slope and intercept" if axis is not None else "Drift"
+    kinds = " and ".join(reversed(shown)).capitalize() if axis is not None else "Drift"
     against = "the prediction" if 2 in counts else "temperature" if 1 in counts else "time"
     title = f"{kinds} against {against}" + (f", axis {axis}" if axis is not None else "")
     caption = "Dots: separated states with their 95 % interval, coloured by time. "

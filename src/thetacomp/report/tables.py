@@ -249,7 +249,7 @@ def equations(analysis: Analysis, document: ModelDocument) -> list[Equation]:
 
 
 def _explained(term: LinearTerm, part: Component) -> str:
-    if not part.inputs:
+    if not part.inputs or not any(term.coefficients_per_K):
         return NOT_AVAILABLE
     return number(term.r_squared, 2) if explains(term, part.dof) else "not explained"
 

@@ -1,5 +1,6 @@
 """Separation of measured errors into geometry, slope and intercept (paper, section 2)."""
 
+from thetacomp.separation.forms import Separated, separate_all
 from thetacomp.separation.result import ComponentSeparation, GeometryCurve, LinearityTest, Points
 from thetacomp.separation.separate import separate_campaign, separate_folder
 
@@ -8,6 +9,8 @@ __all__ = [
     "GeometryCurve",
     "LinearityTest",
     "Points",
+    "Separated",
+    "separate_all",
     "separate_campaign",
     "separate_folder",
 ]

@@ -57,7 +57,10 @@ class ComponentData:
 
 @dataclass(frozen=True)
 class JointFit:
-    """Solution of the joint fit. `states` lists the heated sweeps; arrays of states have length m."""
+    """Solution of the joint fit. `states` lists the heated sweeps; arrays of states have length m.
+
+    `line_covariance` (2 m, 2 m) is that of (intercepts, slopes).
+    """
 
     curve: Curve
     directions: tuple[int, ...]
@@ -66,6 +69,7 @@ class JointFit:
     intercept_se_um: Floats
     slope_um_per_m: Floats
     slope_se_um_per_m: Floats
+    line_covariance: Floats
     geometry_coefficients: Floats
     geometry_covariance: Floats
     geometry_um: Floats
@@ -89,7 +93,7 @@ def state_weights(data: ComponentData, states: Ints) -> Floats:
     """
     cold_end_s = data.t_s[data.cold[data.sweep]].max()
     times = np.concatenate([[cold_end_s], data.middle_s[states]])
-    rates = _rate_matrix(times)
+    rates = rate_matrix(times)
     weights = np.zeros((len(data.t_s), len(states)))
     for j, state in enumerate(states):
         rows = np.flatnonzero(data.sweep == state)
@@ -99,7 +103,7 @@ def state_weights(data: ComponentData, states: Ints) -> Floats:
     return weights
 
 
-def _rate_matrix(times: Floats) -> Floats:
+def rate_matrix(times: Floats) -> Floats:
     """`rate = R @ values` at every node: derivative of the parabola through a node and its two neighbours."""
     count = len(times)
     rates = np.zeros((count, count))
@@ -273,6 +277,7 @@ def fit_component(data: ComponentData) -> JointFit:
         intercept_se_um=se[system.intercepts],
         slope_um_per_m=solution.coefficients[system.slopes],
         slope_se_um_per_m=se[system.slopes],
+        line_covariance=solution.covariance[line_part, line_part],
         geometry_coefficients=solution.coefficients[g],
         geometry_covariance=solution.covariance[g, g],
         geometry_um=system.design[:, g] @ solution.coefficients[g],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from thetacomp.campaign import Floats, Ints
 
 Bools = NDArray[np.bool_]
+Form = Literal["separate", "joint"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,8 @@ class Points:
 
     `thermal_um` is the measured error less the geometry; `line_um` the separated thermal line at the point's own
     time; their difference is the residual. Outliers carry no weight in the fit and are left out of validation.
+    In the joint form the other axes' share, the drift and the constant are taken off `error_um`; `drift_um` is that
+    drift at the point's own time.
     """
 
     t_s: Floats
@@ -38,10 +42,11 @@ class Points:
     geometry_um: Floats
     line_um: Floats
     outlier: Bools
+    drift_um: Floats | None = None
 
     @property
     def thermal_um(self) -> Floats:
-        """Measured error less geometry, (n,)."""
+        """Error less geometry, (n,)."""
         return self.error_um - self.geometry_um
 
     @property
@@ -75,6 +80,10 @@ class ComponentSeparation:
     parameters came already separated, `cold_intercept_um` and `cold_slope_um_per_m` hold what they were in the cold
     state (that is geometry, and is subtracted here), the standard errors are NaN, and `points`, `geometry` and
     `linearity` are absent. A missing value is NaN.
+
+    `form` is "joint" where the drift was taken out of the sweeps: the intercept of an axis is then zero and the
+    drift of all sweeps is one component of its own, such as `DX`, whose `cold_intercept_um` is the one constant of the
+    geometry. Angles have the same shape, in µrad and µrad/m: `EAX`, `DA`, with `direction` "A", "B" or "C".
     """
 
     campaign: str
@@ -104,6 +113,12 @@ class ComponentSeparation:
     linearity: LinearityTest | None = None
     reversal_um: float | None = None
     notes: tuple[str, ...] = ()
+    form: Form = "separate"
+
+    @property
+    def exact_zero(self) -> bool:
+        """True where slope and intercept are zero in the cold state by definition, not by measurement."""
+        return self.points is not None or self.form == "joint"
 
     def line_um(self, state: int, position_mm: Floats) -> Floats:
         """The separated thermal line of one state at `position_mm`."""

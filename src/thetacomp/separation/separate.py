@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import special
 
@@ -16,6 +18,7 @@ from thetacomp.separation.reference import (
     refuse_reference_in_a_sweep,
 )
 from thetacomp.separation.result import ComponentSeparation, GeometryCurve, LinearityTest, Points
+from thetacomp.separation.shares import AxisFit
 
 GRID_POINTS = 101
 # The shape test asks for strong evidence: with six components and eight states it is made often.
@@ -37,7 +40,7 @@ def separate_campaign(machine: Machine, campaign: Campaign) -> tuple[ComponentSe
     results: list[ComponentSeparation] = []
     if campaign.sweeps is not None:
         for axis in machine.axes:
-            results += _separate_axis(axis, campaign, reference_s)
+            results += [fitted.separation for fitted in separate_axis(axis, campaign, reference_s)]
     if campaign.parameters is not None:
         results += _from_parameters(campaign, campaign.parameters, reference_s)
     if campaign.drift is not None:
@@ -45,7 +48,14 @@ def separate_campaign(machine: Machine, campaign: Campaign) -> tuple[ComponentSe
     return tuple(results)
 
 
-def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[ComponentSeparation]:
+def separate_axis(
+    axis: Axis, campaign: Campaign, reference_s: float, letters: Sequence[str] = CARTESIAN
+) -> list[AxisFit]:
+    """Separate all components of one axis on its own: the intercept holds the drift and the tilt of the other axes.
+
+    `letters` names the columns of `error_um`; for angles it is A, B, C and the columns are µrad. Empty where the axis
+    was not swept. Raises AnalysisError where a sweep has too few points.
+    """
     points = campaign.sweeps
     assert points is not None
     _refuse_what_cannot_be_separated(axis, campaign, points)
@@ -65,7 +75,8 @@ def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[C
             " the cold state, so heat before that sweep is not seen"
         )
     results = []
-    for index, direction in enumerate(CARTESIAN):
+    for index, direction in enumerate(letters):
+        is_angle = direction not in CARTESIAN
         usable = rows & np.isfinite(points.error_um[:, index])
         if not usable.any():
             continue
@@ -74,7 +85,7 @@ def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[C
         if counts.min() < 3:
             raise AnalysisError(
                 f"campaign {campaign.name}: sweep {own[int(counts.argmin())]} of axis {axis.name} has"
-                f" {counts.min()} points with d{direction}_um; a line needs at least 3."
+                f" {counts.min()} points with {_column(direction)}; a line needs at least 3."
                 " Fix: complete the sweep or remove it."
             )
         sweep_index = np.array([number[s] for s in points.sweep[usable]])
@@ -87,9 +98,10 @@ def _separate_axis(axis: Axis, campaign: Campaign, reference_s: float) -> list[C
             middle_s=np.array([points.t_s[usable & (points.sweep == sweep)].mean() for sweep in own]),
             cold=cold,
             p0_mm=float(np.mean(axis.travel_mm)),
-            angle_sd_urad=(campaign.settings.instrument_u_um_per_m or 0.0) / 2.0,
-            weight=_weight(points.noise_um[usable, index]) if points.noise_um is not None else None,
-            tie=points.tie_covariance[own, index] if points.tie_covariance is not None else None,
+            # An angle error of the instrument tilts a line of displacements; it does not tilt a line of angles.
+            angle_sd_urad=0.0 if is_angle else (campaign.settings.instrument_u_um_per_m or 0.0) / 2.0,
+            weight=None if is_angle or points.noise_um is None else _weight(points.noise_um[usable, index]),
+            tie=None if is_angle or points.tie_covariance is None else points.tie_covariance[own, index],
         )
         if len(np.unique(data.position_mm)) < 3:
             raise AnalysisError(
@@ -104,6 +116,10 @@ def _weight(noise_um: Floats) -> Floats:
     """Weights with the mean 1 from the standard deviations of the points."""
     weight = 1.0 / noise_um**2
     return np.asarray(weight / weight.mean())
+
+
+def _column(letter: str) -> str:
+    return f"d{letter}_um" if letter in CARTESIAN else f"r{letter}_urad"
 
 
 def _refuse_what_cannot_be_separated(axis: Axis, campaign: Campaign, points: SweepPoints) -> None:
@@ -131,7 +147,7 @@ def _component(
     own: np.ndarray,
     reference_s: float,
     notes: list[str],
-) -> ComponentSeparation:
+) -> AxisFit:
     fit = fit_component(data)
     count = len(own)
     intercept, slope = np.zeros(count), np.zeros(count)
@@ -147,18 +163,20 @@ def _component(
     curves = _geometry_curves(data, fit)
     own_notes = list(notes)
     settings = campaign.settings
-    if settings.instrument_u_um is not None and fit.noise_sd_um > settings.instrument_u_um:
+    is_angle = direction not in CARTESIAN
+    if not is_angle and settings.instrument_u_um is not None and fit.noise_sd_um > settings.instrument_u_um:
         own_notes.append(
             f"points scatter by {fit.noise_sd_um:.1f} µm (one standard deviation), more than twice what the stated"
             f" uncertainty of {settings.instrument_u_um:g} µm (expanded) allows"
         )
     points = campaign.sweeps
-    if settings.instrument_u_um_per_m is None and (points is None or points.tie_covariance is None):
+    tied = points is not None and points.tie_covariance is not None
+    if not is_angle and settings.instrument_u_um_per_m is None and not tied:
         own_notes.append(
             "instrument_u_um_per_m is not stated: the standard errors hold the scatter of the points only,"
             " not an angle error common to a sweep"
         )
-    return ComponentSeparation(
+    separation = ComponentSeparation(
         campaign=campaign.name,
         component=f"E{direction}{axis.name}",
         direction=direction,
@@ -194,6 +212,7 @@ def _component(
         reversal_um=_reversal_um(curves),
         notes=tuple(own_notes),
     )
+    return AxisFit(data, fit, separation)
 
 
 def _geometry_curves(data: ComponentData, fit: JointFit) -> tuple[GeometryCurve, ...]:

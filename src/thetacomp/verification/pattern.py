@@ -13,7 +13,7 @@ import numpy as np
 from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.models.document import ModelDocument
-from thetacomp.models.procedures import default_procedure
+from thetacomp.models.procedures import key_point_procedure
 from thetacomp.prediction import predict
 from thetacomp.separation import ComponentSeparation
 from thetacomp.states import AxisStates
@@ -39,7 +39,7 @@ def fitted_pattern(
     rows = np.flatnonzero(np.isin(states.campaign, numbers))
     label = f"axis {states.axis}" if states.axis else "drift"
     try:
-        model = default_procedure(folder.machine)(states.take(rows))
+        model = key_point_procedure(folder.machine)(states.take(rows))
     except AnalysisError as exc:
         return tuple(_nothing(len(s.value_um)) for s in states.samples), (f"{label}: {exc}",)
     if not model.inputs:
