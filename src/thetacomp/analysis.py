@@ -1,4 +1,4 @@
-"""The spine of the analysis wing, readable from top to bottom: separate, choose, fit, validate."""
+"""The spine of the analysis wing, readable from top to bottom: screen, separate, choose, fit, validate."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_
 from thetacomp.models.build import build_document
 from thetacomp.models.history_model import history_procedure
 from thetacomp.models.procedures import default_procedure, paper_procedure
-from thetacomp.screening import fit_screening, screen
+from thetacomp.screening.campaigns import screened
 from thetacomp.separation import ComponentSeparation, separate_campaign
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
 from thetacomp.validation.acceptance import acceptance_checks, in_words
-from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test
+from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test, training_states
 from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, held_out_states, rows_of
@@ -29,8 +29,6 @@ from thetacomp.validation.verdict import with_verdict
 
 SEED = 20120951
 FORWARD = "forward"
-MIN_SCREENING_CAMPAIGNS = 2
-MIN_SCREENING_SAMPLES = 100
 
 Progress = Callable[[str], None]
 
@@ -40,18 +38,21 @@ def analyze_folder(
     train: Sequence[str] = (),
     test: Sequence[str] = (),
     progress: Progress = lambda message: None,
+    repair: bool = True,
 ) -> Analysis:
     """Run the whole analysis of a machine folder.
 
     `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
-    one line a step. Raises AnalysisError where the measurements cannot carry an analysis.
+    one line a step. With `repair` the faulty temperatures and held labels that screening finds are mended or left out,
+    else only told. Raises AnalysisError where the measurements cannot carry an analysis.
     """
     train, test = _chosen(folder, train, test)
     campaigns = [folder.campaign(name) for name in (*train, *test)]
     _refuse_mixtures(campaigns)
 
     progress("screening temperatures")
-    findings = _screening_notes(campaigns)
+    screening = screened(folder, train, test, repair)
+    folder, campaigns = screening.folder, [screening.folder.campaign(c.name) for c in campaigns]
     progress("separating geometry and heat")
     separations = tuple(result for campaign in campaigns for result in separate_campaign(folder.machine, campaign))
     if not separations:
@@ -66,7 +67,7 @@ def analyze_folder(
     procedure, paper = default_procedure(folder.machine), paper_procedure(folder.machine)
     fitted = _fit(training, procedure)
     fitted_paper = _fit_where_possible(training, paper)
-    notes = _notes(campaigns, separations) + _dropped_notes(separations, everything) + findings
+    notes = _notes(campaigns, separations) + _dropped_notes(separations, everything) + screening.notes
     model = build_document(folder, fitted, "default: weighted key points, least squares", train, notes)
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
 
@@ -99,6 +100,7 @@ def analyze_folder(
         acceptance=acceptance,
         notes=notes,
         held_out=held_out,
+        screening=screening,
     )
 
 
@@ -227,7 +229,7 @@ def _new_folds(some: Sequence[Fold], known: Sequence[Fold]) -> list[Fold]:
 
 def _fold_notes(states: AxisStates, folds: Sequence[Fold], procedure: Procedure, stored: tuple[str, ...]) -> list[str]:
     """Where the folds chose other sensors than the stored model, its held-out figures are those of its relatives."""
-    chosen = [procedure(states.take(fold.train)).inputs for fold in folds]
+    chosen = [procedure(training_states(states, fold)).inputs for fold in folds]
     others = {inputs for inputs in chosen if set(inputs) != set(stored)}
     if not others:
         return []
@@ -263,23 +265,6 @@ def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparat
     notes += _position_notes(campaigns)
     notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]
     return tuple(dict.fromkeys(notes))
-
-
-def _screening_notes(campaigns: Sequence[Campaign]) -> tuple[str, ...]:
-    """Faulty channels of every campaign, judged by what the others teach; needs two others with the same sensors."""
-    notes: list[str] = []
-    for campaign in campaigns:
-        ids = campaign.temperatures.sensor_ids
-        others = [c.temperatures for c in campaigns if c is not campaign and c.temperatures.sensor_ids == ids]
-        if len(others) < MIN_SCREENING_CAMPAIGNS or min(len(t.t_s) for t in others) < MIN_SCREENING_SAMPLES:
-            continue
-        try:
-            screening = screen(fit_screening(others), campaign.temperatures)
-        except AnalysisError as exc:
-            notes.append(f"campaign {campaign.name}: temperatures were not screened ({exc})")
-            continue
-        notes += [f"campaign {campaign.name}, temperatures: {finding}" for finding in screening.findings]
-    return tuple(notes)
 
 
 def _cold_notes(campaign: Campaign) -> list[str]:

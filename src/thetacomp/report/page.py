@@ -62,6 +62,7 @@ def render_page(
         analysis=analysis,
         checks=sorted(analysis.acceptance, key=lambda check: check.passed),
         machine=analysis.folder.machine,
+        screening=analysis.screening,
         model=analysis.model,
         sections=_sections(figures, rendered),
         verdict=tables.verdict(analysis),
