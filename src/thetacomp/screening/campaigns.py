@@ -18,7 +18,7 @@ from thetacomp.screening.faults import Finding
 from thetacomp.screening.fit import fit_plain
 from thetacomp.screening.labels import HeldLabels, labels_note, without_held_labels
 from thetacomp.screening.model import ScreeningModel
-from thetacomp.screening.screen import Screening, fit_screening, screen
+from thetacomp.screening.screen import Screening, cleaned, screen
 from thetacomp.screening.words import campaign_notes, join
 
 MIN_TEACHERS = 2
@@ -71,14 +71,12 @@ def screened(
     campaigns of the folder stay as they are. Raises nothing: a campaign that cannot be screened is named.
     """
     names = [*train, *test]
-    results: dict[str, _Result] = {}
-    unscreened: list[tuple[str, str]] = []
-    for name in names:
-        teachers = [folder.campaign(other) for other in train if other != name]
-        try:
-            results[name] = _screen(folder.campaign(name), teachers)
-        except AnalysisError as exc:
-            unscreened.append((name, str(exc)))
+    # Most campaigns are healthy: only those in which a first look finds a fault are cleaned before they teach.
+    first, _ = _screen_all(folder, train, train, ())
+    suspects = [name for name, result in first.items() if result.screening.findings]
+    known = {name: result for name, result in first.items() if not set(suspects) - {name}}
+    results, unscreened = _screen_all(folder, [name for name in names if name not in known], train, suspects)
+    results = {name: {**known, **results}[name] for name in names if name in known or name in results}
     channels = [channel for name, result in results.items() for channel in _channels(name, result, repair)]
     campaigns, held = [], []
     for campaign in folder.campaigns:
@@ -116,18 +114,50 @@ class _Result:
         return tuple(dict.fromkeys(f.sensor for f in self.findings if f.repair == "lost"))
 
 
-def _screen(campaign: Campaign, teachers: Sequence[Campaign]) -> _Result:
+def _screen_all(
+    folder: MachineFolder, names: Sequence[str], train: Sequence[str], suspects: Sequence[str]
+) -> tuple[dict[str, _Result], list[tuple[str, str]]]:
+    """The named campaigns, each screened by the others of `train`; and those that cannot be, with the reason."""
+    results: dict[str, _Result] = {}
+    refused: list[tuple[str, str]] = []
+    for name in names:
+        campaign = folder.campaign(name)
+        try:
+            model = fit_plain(_teachers(folder, campaign, train, suspects))
+            record = _record(campaign)
+            results[name] = _Result(model, record, float(campaign.temperatures.t_s[0]), screen(model, record))
+        except AnalysisError as exc:
+            refused.append((name, str(exc)))
+    return results, refused
+
+
+def _teachers(
+    folder: MachineFolder, campaign: Campaign, train: Sequence[str], suspects: Sequence[str]
+) -> list[Temperatures]:
+    """Tables of the other training campaigns with the same sensors; suspects are cleaned by the rest of them."""
     ids = campaign.temperatures.sensor_ids
-    tables = [_columns(c.temperatures, ids) for c in teachers if set(ids) <= set(c.temperatures.sensor_ids)]
-    tables = [table for table in tables if len(table.t_s) >= MIN_SAMPLES]
+    others = {name: folder.campaign(name).temperatures for name in train if name != campaign.name}
+    tables = {
+        name: _columns(table, ids)
+        for name, table in others.items()
+        if set(ids) <= set(table.sensor_ids) and len(table.t_s) >= MIN_SAMPLES
+    }
     if len(tables) < MIN_TEACHERS:
         raise AnalysisError(
             f"screening learns from at least {MIN_TEACHERS} other training campaigns with the same sensors and"
             f" {MIN_SAMPLES} samples each; there {'is' if len(tables) == 1 else 'are'} {len(tables)}"
         )
-    model = fit_screening(tables) if len(tables) > MIN_TEACHERS else fit_plain(tables)
-    record = _record(campaign)
-    return _Result(model, record, float(campaign.temperatures.t_s[0]), screen(model, record))
+    return [
+        _cleaned(table, [t for other, t in tables.items() if other != name]) if name in suspects else table
+        for name, table in tables.items()
+    ]
+
+
+def _cleaned(table: Temperatures, rest: Sequence[Temperatures]) -> Temperatures:
+    try:
+        return cleaned(table, rest)
+    except AnalysisError:
+        return table  # one short campaign cannot judge another
 
 
 def _columns(table: Temperatures, ids: tuple[str, ...]) -> Temperatures:

@@ -76,7 +76,9 @@ def sample_spikes(model: ScreeningModel, table: Temperatures) -> list[Event]:
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > half) + 1):
             worst = int(run[np.argmax(times[run, j])])
             first, last = int(run[0]) + half, int(run[-1]) + half
-            if not _stands_out_of_both_sides(table, int(j), first, last, worst + half, SPIKE_TIMES * model.spike_K[j] / 2.0):
+            if not _stands_out_of_both_sides(
+                table, int(j), first, last, worst + half, SPIKE_TIMES * model.spike_K[j] / 2.0
+            ):
                 continue
             end_s = float(table.t_s[min(last + 1, len(table.t_s) - 1)])
             events.append(
