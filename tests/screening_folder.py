@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
+from builders import csv_text, write_files
 from thermal_network import SENSORS, network, operate
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, Duty, Floats, LeadIn, MachineFolder, Temperatures
 from thetacomp.machine import Machine, Sensor
@@ -64,3 +66,21 @@ def cut(recording: Temperatures, campaigns: int = 4) -> MachineFolder:
 def standing(begin_s: float, end_s: float) -> Duty:
     """A spindle that runs but for one stretch of standstill."""
     return Duty(np.array([0.0, begin_s, end_s]), {"spindle_rpm": np.array([1000.0, 0.0, 1000.0])})
+
+
+def write_folder(whole: MachineFolder, root: Path) -> Path:
+    """The folder on disk, as a user would have it."""
+    sensors = "".join(f'[[sensors]]\nid = "{s.id}"\nlocation = "{s.id}"\nrole = "{s.role}"\n' for s in MACHINE.sensors)
+    files = {"machine.toml": f'format = 1\n[machine]\nname = "network"\n{sensors}'}
+    for campaign in whole.campaigns:
+        assert campaign.drift is not None
+        table = campaign.temperatures
+        place = f"campaigns/{campaign.name}"
+        files[f"{place}/temperatures.csv"] = csv_text(
+            [["t_s", *table.sensor_ids], *np.column_stack([table.t_s, table.value_degC.round(3)]).tolist()]
+        )
+        moved_um = campaign.drift.error_um[:, 0].round(3)
+        files[f"{place}/drift.csv"] = csv_text(
+            [["t_s", "dX_um"], *np.column_stack([campaign.drift.t_s, moved_um]).tolist()]
+        )
+    return write_files(root, files)

@@ -5,18 +5,27 @@ The machine is the thermal network with drawn parameters; the faults are put in,
 
 from __future__ import annotations
 
+import csv
+import json
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from screening_folder import HOUR_S, column, cut, folder, unbroken, with_temperatures
+from screening_folder import HOUR_S, column, cut, folder, unbroken, with_temperatures, write_folder
 from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import MachineFolder, Temperatures
+from thetacomp.cli.main import app
 from thetacomp.examples import TK6920
+from thetacomp.output import write_tables
 from thetacomp.reading import read_folder
+from thetacomp.report.figures_screening import screened_channels
+from thetacomp.report.page import render_page
+from thetacomp.report.rendering import render
 from thetacomp.screening import with_fault
 from thetacomp.screening.campaigns import ScreenedFolder, screened
 from thetacomp.screening.faults import InjectedKind
@@ -246,3 +255,67 @@ def test_a_fault_that_began_before_the_campaign_is_repaired_in_an_unbroken_recor
     assert known is not None
     assert np.max(np.abs(column(before.temperatures, SENSOR) - column(known.temperatures, SENSOR))) < 0.2
     assert any(n.startswith(f"campaign c3, sensor {SENSOR}") and "since before the campaign on" in n for n in out.notes)
+
+
+def test_the_table_and_the_page_hold_the_evidence(tmp_path: Path) -> None:
+    write_tables(analysis("jump"), tmp_path)
+    with (tmp_path / "screening.csv").open(encoding="utf-8", newline="") as file:
+        (row,) = [row for row in csv.DictReader(file) if row["fault"] == "jump"]
+    assert (row["campaign"], row["sensor"], row["done"], row["end_s"]) == (FAULTY, SENSOR, "shifted back", "")
+    assert float(row["size_K"]) == pytest.approx(31.0, abs=0.1)
+    assert float(row["start_s"]) <= START_S <= float(row["detected_s"]) <= START_S + 300.0
+    assert float(row["statistic"]) > float(row["threshold"])
+    assert 0.0 < float(row["u_K"]) < 0.1
+    assert SENSOR not in row["repaired_from"].split()
+    write_tables(analysis("jump", repair=False), tmp_path)
+    with (tmp_path / "screening.csv").open(encoding="utf-8", newline="") as file:
+        assert {row["done"] for row in csv.DictReader(file)} == {"none"}
+    pages = {
+        repair: render_page(result, figures, [render(f) for f in figures], [])
+        for repair, result, figures in (
+            (repair, result, screened_channels(result))
+            for repair, result in ((True, analysis("jump")), (False, analysis("jump", repair=False)))
+        )
+    }
+    (note,) = (n for n in analysis("jump").notes if SENSOR in n and "jump" in n)
+    assert pages[True].count(note) == 1
+    assert "used the repaired values" in pages[True]
+    assert "Repair was switched off" in pages[False]
+    assert f'id="screening_{FAULTY}_{SENSOR}"' in pages[True]
+    healthy_page = render_page(analysis("healthy"), [], [], [])
+    assert "Faulty readings" not in healthy_page
+
+
+def test_the_picture_shows_what_was_read_what_was_used_and_the_difference() -> None:
+    (figure,) = (f for f in screened_channels(analysis("jump")) if SENSOR in f.name)
+    above, below = figure.figure.axes
+    read, used = (line.get_ydata() for line in above.get_lines()[:2])
+    assert np.max(np.asarray(read)) - np.max(np.asarray(used)) > 25.0
+    difference_K = np.asarray(below.get_lines()[1].get_ydata())
+    assert difference_K[0] == 0.0
+    assert difference_K[-1] == pytest.approx(31.0, abs=0.1)
+    assert "repaired values" in figure.caption
+
+
+def test_the_command_repairs_unless_told_otherwise(tmp_path: Path) -> None:
+    """The same folder on disk, both ways; the files of the campaigns stay as they are."""
+    root = write_folder(faulty_folder("jump", size_K=31.0), tmp_path / "machine")
+    kept = {path: path.read_bytes() for path in root.rglob("*.csv")}
+    told = {}
+    for option in ((), ("--no-repair",)):
+        result = CliRunner().invoke(app, ["analyze", str(root), "--out", str(tmp_path / "out"), "--json", *option])
+        assert result.exit_code in (0, 3), result.output
+        told[option] = json.loads(result.stdout)
+    assert {path: path.read_bytes() for path in root.rglob("*.csv")} == kept
+    for data in told.values():
+        (found,) = data["screening"]
+        assert (found["campaign"], found["sensor"], found["kind"]) == (FAULTY, SENSOR, "jump")
+    rms_um = [
+        next(
+            row["rms_after_um"]
+            for row in data["validation"]
+            if (row["campaign"], row["model"], row["split"]) == (FAULTY, "default", "campaign")
+        )
+        for data in told.values()
+    ]
+    assert rms_um[1] > 20.0 * rms_um[0]

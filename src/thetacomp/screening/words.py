@@ -73,7 +73,7 @@ def _done(f: Finding, repair: bool) -> str:
     if f.repair == "shifted back":
         return f"Used less the jump ({u})"
     if f.repair == "swapped back":
-        return "Used exchanged back"
+        return "The two channels were exchanged back"
     if f.repair == "reconstructed":
         return f"Rebuilt from {len(f.repaired_from)} healthy sensors, anchored just before the fault ({u} at its end)"
     return (
