@@ -24,6 +24,7 @@ from thetacomp.examples import TK6920
 from thetacomp.output import write_tables
 from thetacomp.reading import read_folder
 from thetacomp.report.figures_screening import screened_channels
+from thetacomp.report.figures_temperature import temperatures_over_time
 from thetacomp.report.page import render_page
 from thetacomp.report.rendering import render
 from thetacomp.screening import with_fault
@@ -295,6 +296,9 @@ def test_the_picture_shows_what_was_read_what_was_used_and_the_difference() -> N
     assert difference_K[0] == 0.0
     assert difference_K[-1] == pytest.approx(31.0, abs=0.1)
     assert "repaired values" in figure.caption
+    drawn = {f.name: f.caption for f in temperatures_over_time(analysis("jump"))}
+    assert f"repaired or left out: {SENSOR}" in drawn[f"temperatures_{FAULTY}"]
+    assert "repaired" not in drawn["temperatures_c0"]
 
 
 def test_the_command_repairs_unless_told_otherwise(tmp_path: Path) -> None:
