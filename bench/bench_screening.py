@@ -1,12 +1,14 @@
 """Fault injection: every sensor in turn, every kind of fault, on the real spindle recording and on synthetic machines.
 
-For every case a linear error model (standardised ridge on five sensors, the faulty one among them) is fitted on healthy
-campaigns other than the one under test. Its error from the begin of the fault to the end of the campaign, after repair
-(or, where the screening calls the sensor lost, with a model on other sensors), is divided by its error on the healthy
-table over the same time. `offline` screens the whole record; `live` uses the verdicts sample by sample, from the first
-verdict on. Also: false alarms on healthy records, per month of 720 h.
+Two compensations, each fitted on healthy campaigns other than the one under test: `key sensors`, a standardised ridge
+on five sensors with the faulty one among them, and `heat history`, the averaged block ridge on all sensors. The error
+from the begin of the fault to the end of the campaign, after repair, is divided by the error on the healthy table over
+the same time. Where the screening calls the sensor lost, the fallback without it takes over, and the difference of the
+two models at the switch decays as in compensation/switch.py. `offline` screens the whole record; `live` uses the
+verdicts sample by sample, from the first verdict on. Also: false alarms on healthy records, per month of 720 h, where
+every finding counts, a spike too.
 
-    python bench/bench_screening.py [--recording FILE.xlsx] [--machines 2] [--each 2] [--months 1]
+    python bench/bench_screening.py [--recording FILE.xlsx] [--machines 2] [--each 2] [--months 1] [--model history]
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from thermal_network import network, operate  # noqa: E402
 from thetacomp.campaign import Floats, Temperatures  # noqa: E402
+from thetacomp.compensation.switch import DECAY_S  # noqa: E402
+from thetacomp.models.ridge import HistoryRidge, history_candidates, rise_since  # noqa: E402
 from thetacomp.screening import (  # noqa: E402
     Detector,
     ScreeningModel,
@@ -33,6 +37,7 @@ from thetacomp.screening import (  # noqa: E402
     screen,
     with_fault,
 )
+from thetacomp.temperature.history import HistoryLayout, history_inputs  # noqa: E402
 
 RECORDING = ROOT.parent / "shared" / "data" / "caiviac_fl_thermal" / "data.xlsx"
 CUTS = (0, 1951, 3871, 5791, 7711, 9631, 11115)
@@ -55,18 +60,41 @@ KINDS: tuple[tuple[str, str, float], ...] = (
 
 @dataclass(frozen=True)
 class Record:
-    """A campaign with what was displaced: (n, targets) in µm."""
+    """A campaign with what was displaced, (n, targets) in µm, and the spindle speed (n,) where it is known."""
 
     temperatures: Temperatures
     displacement_um: Floats
+    speed_rpm: Floats | None = None
 
 
 @dataclass(frozen=True)
-class Fitted:
+class KeySensors:
     """A linear model on some sensors: weights (sensors, targets)."""
 
     sensors: list[int]
     weights: Floats
+
+    def predict(self, record: Record, value_degC: Floats, base: Floats) -> Floats:
+        """Errors (n, targets); NaN where a sensor of the model is missing."""
+        return (value_degC - base)[:, self.sensors] @ self.weights
+
+
+@dataclass(frozen=True)
+class History:
+    """The heat-history model on the sensors of its layout."""
+
+    layout: HistoryLayout
+    ridge: HistoryRidge
+
+    def predict(self, record: Record, value_degC: Floats, base: Floats) -> Floats:
+        """Errors (n, targets); NaN where a sensor of the model is missing."""
+        ids = record.temperatures.sensor_ids
+        value = value_degC[:, [ids.index(name) for name in self.layout.sensors]]
+        inputs = history_inputs(self.layout, record.temperatures.t_s, value, record.speed_rpm)
+        return self.ridge.predict(rise_since(inputs, inputs[0]))
+
+
+Fitted = KeySensors | History
 
 
 @dataclass(frozen=True)
@@ -122,16 +150,47 @@ def live_values(model: ScreeningModel, table: Temperatures) -> Floats:
     return np.array([detector.update(float(t), v).value_degC for t, v in zip(table.t_s, table.value_degC, strict=True)])
 
 
-def with_fallback(value: Floats, base: Floats, main: Fitted, spare: Fitted) -> Floats:
-    """Predictions (n, targets) of the main model, or of the one without the faulty sensor where that one is lost."""
-    rise = value - base
-    lost = ~np.isfinite(rise[:, main.sensors]).all(axis=1)
-    used = np.nan_to_num(rise[:, main.sensors]) @ main.weights
-    return np.where(lost[:, None], rise[:, spare.sensors] @ spare.weights, used)
+def compensated(record: Record, value: Floats, base: Floats, main: Fitted, spare: Fitted) -> Floats:
+    """Errors (n, targets) of the main model, or of the one without the faulty sensor where that one is lost.
+
+    At the switch the output goes on from where it was; the difference decays.
+    """
+    out = main.predict(record, value, base)
+    lost = ~np.isfinite(out).all(axis=1)
+    if not lost.any():
+        return out
+    instead = spare.predict(record, value, base)
+    at = int(np.argmax(lost))
+    carried = out[at - 1] - instead[at - 1] if at else np.zeros(out.shape[1])
+    t_s = record.temperatures.t_s
+    left = np.exp(-np.maximum(t_s - t_s[at], 0.0) / DECAY_S)
+    return np.where(lost[:, None], instead + left[:, None] * carried, out)
 
 
-def fitted(records: Sequence[Record], sensors: list[int]) -> Fitted:
-    return Fitted(sensors, ridge(records, sensors))
+def key_sensor_models(records: Sequence[Record], j: int) -> tuple[Fitted, Fitted]:
+    """Five sensors with the faulty one among them, and five without it."""
+    with_it, without = chosen(records, j, None), chosen(records, None, j)
+    return KeySensors(with_it, ridge(records, with_it)), KeySensors(without, ridge(records, without))
+
+
+def history_model(records: Sequence[Record], without: int | None) -> Fitted:
+    """The heat-history model, or its fallback without one sensor, on every fourth sample of the training."""
+    ids = records[0].temperatures.sensor_ids
+    layout = HistoryLayout(
+        sensors=tuple(name for k, name in enumerate(ids) if k != without),
+        base_degC=20.0,
+        speed_powers=(1, 2) if records[0].speed_rpm is not None else (),
+    )
+    x, y, campaign = [], [], []
+    for number, record in enumerate(records):
+        table = record.temperatures
+        value = table.value_degC[:, [ids.index(name) for name in layout.sensors]]
+        inputs = history_inputs(layout, table.t_s, value, record.speed_rpm)
+        x.append(rise_since(inputs, inputs[0])[::4])
+        y.append(rises(record.displacement_um)[::4])
+        campaign.append(np.full(len(y[-1]), number))
+    fitted = HistoryRidge(layout.blocks, history_candidates(layout))
+    return History(layout, fitted.fit(np.vstack(x), np.vstack(y), np.concatenate(campaign)))
 
 
 def inject(record: Record, j: int, kind: str, size: float, start_s: float, sign: float) -> tuple[Temperatures, float]:
@@ -174,7 +233,9 @@ def is_above(
     return True
 
 
-def run(records: Sequence[Record], rounds: Sequence[int], seed: int) -> tuple[list[Case], float, int, float]:
+def run(
+    records: Sequence[Record], rounds: Sequence[int], seed: int, history: bool
+) -> tuple[list[Case], float, int, float]:
     """All sensors and kinds on the campaigns `rounds`; hours of healthy record, alarms in it, and seconds it took."""
     rng = np.random.default_rng(seed)
     cases: list[Case] = []
@@ -186,18 +247,17 @@ def run(records: Sequence[Record], rounds: Sequence[int], seed: int) -> tuple[li
         model = fit_screening([r.temperatures for r in rest])
         record = records[c]
         table = record.temperatures
-        found = [f for f in screen(model, table).findings if f.window_s > 0]
+        found = screen(model, table).findings
         healthy_h += (table.t_s[-1] - table.t_s[0]) / 3600.0
         alarms += len(found)
         for f in found:
             print("  on the record as it is:", f)
         base = np.mean(table.value_degC[:4], axis=0)
         truth = rises(record.displacement_um)
+        whole = history_model(rest, None) if history else None
         for j in range(p):
-            sensors = chosen(rest, j, None)
-            others = chosen(rest, None, j)
-            main, spare = fitted(rest, sensors), fitted(rest, others)
-            healthy = with_fallback(table.value_degC, base, main, spare)
+            main, spare = (whole, history_model(rest, j)) if whole is not None else key_sensor_models(rest, j)
+            healthy = compensated(record, table.value_degC, base, main, spare)
             for label, kind, size in KINDS:
                 start_s = float(table.t_s[-1] * rng.uniform(0.2, 0.5))
                 faulty, apart = inject(record, j, kind, size, start_s, rng.choice([-1.0, 1.0]))
@@ -210,9 +270,9 @@ def run(records: Sequence[Record], rounds: Sequence[int], seed: int) -> tuple[li
                 known = table.t_s >= (mine[0].detected_s if mine else start_s)
                 usual = rms((truth - healthy)[after])
                 usual_known = rms((truth - healthy)[known])
-                mended = with_fallback(result.repaired.value_degC, base, main, spare)
-                live = with_fallback(live_values(model, faulty), base, main, spare)
-                raw = with_fallback(np.nan_to_num(faulty.value_degC), base, main, main)
+                mended = compensated(record, result.repaired.value_degC, base, main, spare)
+                live = compensated(record, live_values(model, faulty), base, main, spare)
+                raw = compensated(record, np.nan_to_num(faulty.value_degC), base, main, main)
                 expected = {"drift": ("drift", "detached"), "detached": ("drift", "detached")}.get(kind, (kind,))
                 cases.append(
                     Case(
@@ -269,7 +329,7 @@ def real_records(path: Path) -> list[Record]:
     data = pd.read_excel(path, engine="calamine").to_numpy(float)
     ids = tuple(f"t{i}" for i in range(1, 17))
     return [
-        Record(Temperatures(data[a:b, 0] - data[a, 0], ids, data[a:b, 7:]), data[a:b, list(TARGETS)])
+        Record(Temperatures(data[a:b, 0] - data[a, 0], ids, data[a:b, 7:]), data[a:b, list(TARGETS)], data[a:b, 1])
         for a, b in pairwise(CUTS)
     ]
 
@@ -289,7 +349,7 @@ def false_alarms(seed: int, months: float) -> tuple[float, int]:
     hours, alarms = 0.0, 0
     while hours < 720.0 * months:
         table, _ = operate(machine, 240.0, rng, step_s=60.0, season_degC=rng.uniform(16.0, 26.0))
-        found = [f for f in screen(model, table).findings if f.window_s > 0]
+        found = screen(model, table).findings
         for f in found:
             print("  false alarm:", f)
         hours, alarms = hours + 240.0, alarms + len(found)
@@ -302,15 +362,17 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--machines", type=int, default=1, help="synthetic machines")
     parser.add_argument("--each", type=int, default=1, help="campaigns put under test, of every machine")
     parser.add_argument("--months", type=float, default=1.0, help="healthy months of every synthetic machine")
+    parser.add_argument("--model", choices=("key", "history"), default="key", help="key sensors or heat history")
     options = parser.parse_args(arguments)
+    history = options.model == "history"
     if options.recording.exists():
         records = real_records(options.recording)
-        cases, hours, alarms, seconds = run(records, range(min(options.each, len(records))), 1)
+        cases, hours, alarms, seconds = run(records, range(min(options.each, len(records))), 1, history)
         show(f"real recording ({seconds:.0f} s)", cases)
         print(f"healthy: {alarms} alarms in {hours:.1f} h")
     pooled: list[Case] = []
     for seed in range(1, options.machines + 1):
-        cases, hours, alarms, seconds = run(synthetic_records(seed), range(options.each), seed)
+        cases, hours, alarms, seconds = run(synthetic_records(seed), range(options.each), seed, history)
         show(f"synthetic machine {seed} ({seconds:.0f} s)", cases)
         pooled += cases
         month_h, month_alarms = false_alarms(seed, options.months)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thermal_network import network, operate
-from thetacomp.analysis import _screening_notes, analyze_folder, fit_for_use
+from thetacomp.analysis import analyze_folder, fit_for_use
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters, Temperatures
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.models.axis_model import all_sensors, clock, fit_axis, training_mean
 from thetacomp.models.procedures import key_point_procedure
-from thetacomp.screening import with_fault
 from thetacomp.separation import separate_folder
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.validation.folds import forward_in_time, hold_out
@@ -279,17 +277,3 @@ def test_three_of_thirty_sensors_on_eight_noise_states_look_excellent_by_chance(
     assert test is not None
     assert test.r2_shuffled_median > 0.3
     assert test.p_value > 0.05
-
-
-def test_a_faulty_channel_is_told_with_the_evidence() -> None:
-    """Three synthetic campaigns of a thermal network; in the last, one sensor jumps by 5 K and stays."""
-    machine, campaigns = network(3), []
-    for k in range(3):
-        temperatures, _ = operate(machine, 10.0, np.random.default_rng(k))
-        if k == 2:
-            temperatures = with_fault(temperatures, "theta_2", "jump", 5 * 3600.0, size_K=5.0)
-        campaigns.append(Campaign(f"c{k}", CampaignSettings(), temperatures))
-    notes = _screening_notes(campaigns)
-    assert any(note.startswith("campaign c2, temperatures: theta_2: jump") for note in notes), notes
-    assert not any(note.startswith("campaign c0") for note in notes)
-    assert _screening_notes(campaigns[:2]) == ()

@@ -1,4 +1,4 @@
-"""The spine of the analysis wing, readable from top to bottom: separate, choose, fit, validate."""
+"""The spine of the analysis wing, readable from top to bottom: screen, separate, choose, fit, validate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from thetacomp.models.fallbacks import AxisFallback, axis_fallbacks
 from thetacomp.models.form import with_form
 from thetacomp.models.history_model import MIN_CAMPAIGNS
 from thetacomp.models.procedures import key_point_procedure, paper_procedure
-from thetacomp.screening import fit_screening, screen
+from thetacomp.screening.campaigns import screened
 from thetacomp.separation import ComponentSeparation, separate_all
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
@@ -26,7 +26,7 @@ from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
 from thetacomp.validation.acceptance import KEY_POINTS, acceptance_checks, acceptance_of_static_law, in_words
 from thetacomp.validation.calibrated import calibrated_history
-from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test
+from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test, training_states
 from thetacomp.validation.joint_view import with_drift
 from thetacomp.validation.lost_sensors import with_fallbacks
 from thetacomp.validation.permutation import permutation_test
@@ -37,8 +37,6 @@ from thetacomp.validation.verdict import with_verdict
 SEED = 20120951
 FORWARD = "forward"
 METHOD = "weighted key points with least squares; heat history with averaged block ridge where campaigns suffice"
-MIN_SCREENING_CAMPAIGNS = 2
-MIN_SCREENING_SAMPLES = 100
 
 Progress = Callable[[str], None]
 
@@ -48,12 +46,14 @@ def analyze_folder(
     train: Sequence[str] = (),
     test: Sequence[str] = (),
     progress: Progress = lambda message: None,
+    repair: bool = True,
     mix: bool = False,
 ) -> Analysis:
     """Run the whole analysis of a machine folder.
 
     `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
-    one line a step. `mix` allows campaigns of different operating modes or active tables in one model. Raises
+    one line a step. With `repair` the faulty temperatures and held labels that screening finds are mended or left out,
+    else only told. `mix` allows campaigns of different operating modes or active tables in one model. Raises
     AnalysisError where the measurements cannot carry an analysis.
     """
     train, test = _chosen(folder, train, test)
@@ -61,7 +61,8 @@ def analyze_folder(
     mixed = refuse_mixtures(campaigns, mix)
 
     progress("screening temperatures")
-    findings = _screening_notes(campaigns)
+    screening = screened(folder, train, test, repair)
+    folder, campaigns = screening.folder, [screening.folder.campaign(c.name) for c in campaigns]
     progress("separating geometry and heat")
     separated = separate_all(folder.machine, campaigns)
     separations = separated.components
@@ -77,9 +78,8 @@ def analyze_folder(
     procedure, paper = key_point_procedure(folder.machine), paper_procedure(folder.machine)
     fitted = _fit(training, procedure)
     fitted_paper = _fit_where_possible(training, paper)
-    notes = (
-        mixed + _notes(campaigns, separations) + separated.notes + _dropped_notes(separations, everything) + findings
-    )
+    notes = mixed + _notes(campaigns, separations) + separated.notes + _dropped_notes(separations, everything)
+    notes += screening.notes
     history = _fit_history(folder, separations, train, everything, training, test)
     progress("making fallbacks for lost sensors")
     model = build_document(folder, fitted, METHOD, train, notes, _fallbacks(fitted, procedure), history)
@@ -115,6 +115,7 @@ def analyze_folder(
         notes=notes,
         held_out=held_out,
         angles=separated.angles,
+        screening=screening,
     )
 
 
@@ -258,7 +259,7 @@ def _new_folds(some: Sequence[Fold], known: Sequence[Fold]) -> list[Fold]:
 
 def _fold_notes(states: AxisStates, folds: Sequence[Fold], procedure: Procedure, stored: tuple[str, ...]) -> list[str]:
     """Where the folds chose other sensors than the stored model, its held-out figures are those of its relatives."""
-    chosen = [procedure(states.take(fold.train)).inputs for fold in folds]
+    chosen = [procedure(training_states(states, fold)).inputs for fold in folds]
     others = {inputs for inputs in chosen if set(inputs) != set(stored)}
     if not others:
         return []
@@ -295,23 +296,6 @@ def _notes(campaigns: Sequence[Campaign], separations: Sequence[ComponentSeparat
     notes += [note for campaign in campaigns for note in _cold_notes(campaign)]
     notes += [f"campaign {s.campaign}, {s.component}: {note}" for s in separations for note in s.notes]
     return tuple(dict.fromkeys(notes))
-
-
-def _screening_notes(campaigns: Sequence[Campaign]) -> tuple[str, ...]:
-    """Faulty channels of every campaign, judged by what the others teach; needs two others with the same sensors."""
-    notes: list[str] = []
-    for campaign in campaigns:
-        ids = campaign.temperatures.sensor_ids
-        others = [c.temperatures for c in campaigns if c is not campaign and c.temperatures.sensor_ids == ids]
-        if len(others) < MIN_SCREENING_CAMPAIGNS or min(len(t.t_s) for t in others) < MIN_SCREENING_SAMPLES:
-            continue
-        try:
-            screening = screen(fit_screening(others), campaign.temperatures)
-        except AnalysisError as exc:
-            notes.append(f"campaign {campaign.name}: temperatures were not screened ({exc})")
-            continue
-        notes += [f"campaign {campaign.name}, temperatures: {finding}" for finding in screening.findings]
-    return tuple(notes)
 
 
 def _cold_notes(campaign: Campaign) -> list[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from thetacomp.campaign import CorrelationTable, MachineFolder
 from thetacomp.keypoints.result import AxisKeyPoints
 from thetacomp.models.document import ModelDocument
+from thetacomp.screening.campaigns import ScreenedFolder
 from thetacomp.separation.result import ComponentSeparation
 from thetacomp.temperature.result import LayoutCheck, SensorRise
 from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
@@ -16,6 +17,7 @@ from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, Permutat
 class Analysis:
     """Result of one run of the analysis wing.
 
+    `folder` holds the measurements as they were used, `screening` what was found faulty in them and what was done.
     `parameter_correlations` has rows such as `EYX intercept` and the sensors as columns; `sensor_correlations` is
     sensors by sensors. `held_out` is the default model on states that it has not seen. `permutations` are absent where
     too few states exist to shuffle. `angles` are the separated angles of the joint form, in µrad and µrad/m.
@@ -36,3 +38,4 @@ class Analysis:
     notes: tuple[str, ...]
     held_out: tuple[HeldOutStates, ...] = ()
     angles: tuple[ComponentSeparation, ...] = ()
+    screening: ScreenedFolder | None = None

@@ -14,7 +14,7 @@ from thetacomp.validation.result import ValidationRow
 
 
 def write_tables(analysis: Analysis, out: Path) -> tuple[Path, ...]:
-    """Write model.json, separation.csv, geometry.csv, keypoints.csv, validation.csv, acceptance.csv; return the paths.
+    """Write model.json and the tables of separation, key points, validation, acceptance, screening; return the paths.
 
     `angles.csv` is written where angles were measured.
     Numbers have a decimal point and six significant digits, a missing value is an empty cell, the text is UTF-8.
@@ -36,6 +36,7 @@ def write_tables(analysis: Analysis, out: Path) -> tuple[Path, ...]:
             ("name", "statistic", "operator", "threshold", "passed", "meaning"),
             (astuple(check) for check in analysis.acceptance),
         ),
+        _table(out / "screening.csv", SCREENING_COLUMNS, _screening_rows(analysis)),
     )
 
 
@@ -55,6 +56,32 @@ SEPARATION_COLUMNS = (
 ANGLE_COLUMNS = tuple(name.replace("_um", "_urad") for name in SEPARATION_COLUMNS)
 GEOMETRY_COLUMNS = ("campaign", "component", "direction", "position_mm", "geometry_um", "geometry_se_um", "model")
 KEYPOINT_COLUMNS = ("axis", "method", "strategy", "sensor", "stays", "figure", "figure_name", "reason")
+SCREENING_COLUMNS = (
+    "campaign",
+    "sensor",
+    "fault",
+    "partner",
+    "start_s",
+    "detected_s",
+    "end_s",
+    "size_K",
+    "statistic",
+    "threshold",
+    "window_s",
+    "done",
+    "u_K",
+    "repaired_from",
+)
+
+
+def _screening_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+    """One row a fault; `done` is `none` where repair is switched off."""
+    found = analysis.screening
+    for campaign, f in found.findings if found is not None else ():
+        end_s = math.nan if f.end_s is None else f.end_s
+        done = f.repair if found is not None and found.repair else "none"
+        evidence = (f.start_s, f.detected_s, end_s, f.size_K, f.statistic, f.threshold, f.window_s)
+        yield campaign, f.sensor, f.kind, f.partner, *evidence, done, f.repair_u_K, " ".join(f.repaired_from)
 
 
 def _separation_rows(separations: Iterable[ComponentSeparation]) -> Iterable[Sequence[object]]:

@@ -25,6 +25,9 @@ def analyze(
         list[str] | None,
         typer.Option("--test", help="Campaign to test on only; repeat for more. Default: each is held out in turn."),
     ] = None,
+    no_repair: Annotated[
+        bool, typer.Option("--no-repair", help="Only tell faulty temperatures and held labels; use all values as read.")
+    ] = False,
     mix: Annotated[
         bool, typer.Option("--mix", help="Let campaigns of different modes or active tables share one model.")
     ] = False,
@@ -43,7 +46,7 @@ def analyze(
                 typer.echo(f"… {message}", err=True)
 
         progress("reading")
-        analysis = analyze_folder(read_folder(folder), train or (), test or (), progress, mix)
+        analysis = analyze_folder(read_folder(folder), train or (), test or (), progress, not no_repair, mix)
         paths = write_tables(analysis, out)
         progress("drawing")
         paths += write_report(analysis, out)
@@ -61,6 +64,7 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
         lines.append(
             f"key points of {where}: {', '.join(chosen.key_points) or 'none, no sensor predicts held-out data'}"
         )
+    lines += _screening_lines(analysis)
     lines += ["", *_before_and_after(analysis), ""]
     if failed:
         lines.append("NOT FIT FOR USE yet; failed acceptance checks:")
@@ -78,10 +82,27 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
         "validation": [asdict(row) for row in analysis.validation],
         "acceptance": [asdict(check) for check in analysis.acceptance],
         "permutations": [asdict(test) for test in analysis.permutations],
+        "screening": [
+            {"campaign": name, **asdict(found)}
+            for name, found in (analysis.screening.findings if analysis.screening else ())
+        ],
         "notes": list(analysis.notes),
         "files": [str(path) for path in paths],
     }
     return Outcome("\n".join(lines), data, NOT_FIT if failed else DONE)
+
+
+def _screening_lines(analysis: Analysis) -> list[str]:
+    """One line where faults were found: nobody should read the figures without knowing."""
+    found = analysis.screening
+    if found is None or not (found.findings or found.held):
+        return []
+    channels = dict.fromkeys(f"{channel.sensor} in {channel.campaign}" for channel in found.channels)
+    held = sum(entry.count for entry in found.held if not entry.kept_because)
+    parts = [f"faulty temperatures: {', '.join(channels)}"] if channels else []
+    parts += [f"{held} displacements that are no measurement"] if held else []
+    done = "repaired or left out" if found.repair else "used as read (--no-repair)"
+    return [f"{'; '.join(parts)}; {done}, see the notes and screening.csv"] if parts else []
 
 
 SHOWN = ("default", "key_points", "clock", "one_sensor", "all_sensors", "training_mean")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from thetacomp.analysis_result import Analysis
 from thetacomp.report.figures_error import drift_over_time, error_over_position, geometry_curves
 from thetacomp.report.figures_fit import fit_over_temperature
+from thetacomp.report.figures_screening import screened_channels
 from thetacomp.report.figures_temperature import correlation_maps, temperatures_over_time
 from thetacomp.report.figures_validation import before_and_after, error_over_time
 from thetacomp.report.sketch import machine_sketch
@@ -15,6 +16,7 @@ from thetacomp.report.style import NamedFigure
 FIGURES: tuple[Callable[[Analysis], list[NamedFigure]], ...] = (
     machine_sketch,
     temperatures_over_time,
+    screened_channels,
     error_over_position,
     geometry_curves,
     drift_over_time,

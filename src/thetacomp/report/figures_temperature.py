@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -43,11 +45,13 @@ def temperatures_over_time(analysis: Analysis) -> list[style.NamedFigure]:
         for axes in grid[len(campaigns) :]:
             axes.set_axis_off()
         caption = _caption(any(heat for heat, _ in marks), any(reference for _, reference in marks))
+        caption += _repaired_words(analysis, campaigns)
         return [style.NamedFigure("temperatures", "temperatures", "Temperatures of every campaign", caption, figure)]
     figures = []
     for number, campaign in enumerate(campaigns, start=1):
         figure = style.new_figure(_HEIGHT_IN)
         caption = _caption(*_draw_campaign(figure.subplots(), analysis, campaign, _HEIGHT_IN))
+        caption += _repaired_words(analysis, [campaign])
         name = f"temperatures_{style.file_label(campaign.name, number)}"
         title = f"Temperatures in campaign {campaign.name}"
         figures.append(style.NamedFigure(name, "temperatures", title, caption, figure))
@@ -61,6 +65,16 @@ def _caption(heated: bool, reference: bool) -> str:
     if reference:
         caption += " Dashed: the reference, where the thermal error counts as zero."
     return caption
+
+
+def _repaired_words(analysis: Analysis, campaigns: Sequence[Campaign]) -> str:
+    """Which sensors are not drawn as they were read."""
+    found = analysis.screening
+    if found is None or not found.repair:
+        return ""
+    names = {campaign.name for campaign in campaigns}
+    sensors = dict.fromkeys(channel.sensor for channel in found.channels if channel.campaign in names)
+    return f" As the analysis uses them, repaired or left out: {', '.join(sensors)}." if sensors else ""
 
 
 def _draw_campaign(axes: Axes, analysis: Analysis, campaign: Campaign, height_in: float) -> tuple[bool, bool]:

@@ -58,10 +58,13 @@ def render_page(
         lstrip_blocks=True,
     )
     environment.filters.update(number=tables.number, significant=tables.significant, sentence=tables.sentence)
+    faulty = _faulty(analysis)
     return environment.get_template("report.html.j2").render(
         analysis=analysis,
         checks=sorted(analysis.acceptance, key=lambda check: check.passed),
         machine=analysis.folder.machine,
+        faulty=faulty,
+        repaired=analysis.screening is not None and analysis.screening.repair,
         model=analysis.model,
         sections=_sections(figures, rendered),
         verdict=tables.verdict(analysis),
@@ -71,7 +74,9 @@ def render_page(
         campaigns=tables.campaign_lines(analysis),
         validation=tables.validation_tables(analysis),
         states=tables.state_tables(analysis),
-        notes=list(dict.fromkeys([*analysis.notes, *analysis.model.notes, *remarks])),
+        notes=[
+            note for note in dict.fromkeys([*analysis.notes, *analysis.model.notes, *remarks]) if note not in faulty
+        ],
         equations=[tables.equations(analysis, document) for document in (analysis.model, analysis.paper_model)],
         counted=tables.counted,
         only_sensor=[tables.nothing_was_chosen(analysis, points) for points in analysis.key_points],
@@ -82,6 +87,12 @@ def render_page(
         operators={">=": "≥", "<=": "≤"},
         hour_s=style.HOUR_S,
     )
+
+
+def _faulty(analysis: Analysis) -> tuple[str, ...]:
+    """Sentences of the part on faulty readings, which is left out where there are none."""
+    found = analysis.screening
+    return found.notes if found is not None and (found.findings or found.held) else ()
 
 
 def _sections(

@@ -166,7 +166,7 @@ class _Horizon:
             quiet = a <= np.median(a)
             floor[j] = max(float(np.sqrt(np.mean(r2[quiet]))), 1e-6)
             low, high = 0.0, 10.0 * float(np.sqrt(r2.max() / max(float(np.mean(a**2)), 1e-12))) + 1e-9
-            for _ in range(60):
+            for _ in range(40):
                 middle = 0.5 * (low + high)
                 excess = np.mean(r2[~quiet] / (floor[j] ** 2 + (middle * a[~quiet]) ** 2)) if (~quiet).any() else 0.0
                 low, high = (middle, high) if excess > 1.0 else (low, middle)

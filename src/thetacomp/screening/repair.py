@@ -76,6 +76,10 @@ def sample_spikes(model: ScreeningModel, table: Temperatures) -> list[Event]:
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > half) + 1):
             worst = int(run[np.argmax(times[run, j])])
             first, last = int(run[0]) + half, int(run[-1]) + half
+            if not _stands_out_of_both_sides(
+                table, int(j), first, last, worst + half, SPIKE_TIMES * model.spike_K[j] / 2.0
+            ):
+                continue
             end_s = float(table.t_s[min(last + 1, len(table.t_s) - 1)])
             events.append(
                 Event(
@@ -84,6 +88,21 @@ def sample_spikes(model: ScreeningModel, table: Temperatures) -> list[Event]:
                 )
             )  # fmt: skip
     return events
+
+
+def _stands_out_of_both_sides(table: Temperatures, j: int, first: int, last: int, worst: int, limit_K: float) -> bool:
+    """A spike fits the course of neither side. The sharp peak of a fast sensor, where a heat source stops, fits both.
+
+    Each side is carried on as a straight line through its two samples next to the spike; it fits within `limit_K`.
+    """
+    off_K = []
+    for near, far in ((first - 1, first - 2), (last + 1, last + 2)):
+        if min(near, far) < 0 or max(near, far) >= len(table.t_s):
+            continue
+        (t_near, t_far), (near_K, far_K) = table.t_s[[near, far]], table.value_degC[[near, far], j]
+        carried = near_K + (near_K - far_K) * (table.t_s[worst] - t_near) / (t_near - t_far)
+        off_K.append(abs(float(table.value_degC[worst, j] - carried)))
+    return not min((k for k in off_K if np.isfinite(k)), default=np.inf) <= limit_K
 
 
 def _level_before(t_s: Floats, column: Floats, onset_s: float) -> float:

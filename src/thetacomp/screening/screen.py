@@ -48,16 +48,21 @@ def fit_screening(campaigns: Sequence[Temperatures]) -> ScreeningModel:
     """
     if len(campaigns) < 3:
         return fit_plain(campaigns)
-    cleaned = []
-    for i, table in enumerate(campaigns):
-        try:
-            others = fit_plain([c for k, c in enumerate(campaigns) if k != i])
-            # Only what is beyond doubt is taken out: healthy extremes must stay in the calibration.
-            others = replace(others, threshold=CLEAR * others.threshold)
-        except AnalysisError:
-            return fit_plain(campaigns)
-        cleaned.append(_healthy_part(screen(others, table)))
-    return fit_plain(cleaned)
+    try:
+        tables = [cleaned(c, [other for k, other in enumerate(campaigns) if k != i]) for i, c in enumerate(campaigns)]
+    except AnalysisError:
+        return fit_plain(campaigns)
+    return fit_plain(tables)
+
+
+def cleaned(table: Temperatures, others: Sequence[Temperatures]) -> Temperatures:
+    """A training table without its faults as the others show them: mended, or missing where it had to be rebuilt.
+
+    AnalysisError as in `fit_screening`.
+    """
+    plain = fit_plain(others)
+    # Only what is beyond doubt is taken out: healthy extremes must stay in the calibration.
+    return _healthy_part(screen(replace(plain, threshold=CLEAR * plain.threshold), table))
 
 
 def _healthy_part(result: Screening) -> Temperatures:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,18 @@ def named_test(states: AxisStates, tests: Sequence[str]) -> tuple[Fold, ...]:
     """The campaigns of `tests` are tested by a model of all others."""
     names = np.array([name in set(tests) for name in states.campaigns])
     return _folds(states, [names[states.campaign]])
+
+
+def training_states(states: AxisStates, fold: Fold) -> AxisStates:
+    """The states that train a fold. A sensor that a tested campaign does not have counts as not read in training.
+
+    So the model that is tested does without it, and no state of the tested campaign drops out of the judgement.
+    """
+    train = states.take(fold.train)
+    rise_K = train.rise_K.copy()
+    for index in np.unique(states.campaign[fold.test]):
+        rise_K[:, ~np.isfinite(states.rise_K[states.campaign == index]).any(axis=0)] = np.nan
+    return replace(train, rise_K=rise_K)
 
 
 def _folds(states: AxisStates, masks: Sequence[np.ndarray]) -> tuple[Fold, ...]:

@@ -12,7 +12,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.models.axis_model import AnyProcedure, Predictor
 from thetacomp.separation.result import Bools
 from thetacomp.states import AxisStates, Samples
-from thetacomp.validation.folds import Fold
+from thetacomp.validation.folds import Fold, training_states
 from thetacomp.validation.result import HeldOutStates, ValidationRow
 
 NOTHING = "nothing"
@@ -48,7 +48,7 @@ def held_out_residuals(
     out = [_nothing(states, split, c, tested) for c in range(len(states.components))]
     for name, procedure in procedures.items():
         try:
-            fitted = [(fold, procedure(states.take(fold.train))) for fold in folds]
+            fitted = [(fold, procedure(training_states(states, fold))) for fold in folds]
             whole = procedure(states)
         except AnalysisError:
             continue
@@ -143,6 +143,7 @@ def _figures(
     component: str, campaign: str, origin: Residuals, before: Floats, after: Floats, in_sample: Floats, coverage: float
 ) -> ValidationRow:
     max_before, max_after = float(before.max()), float(after.max())
+    fitted = in_sample[np.isfinite(in_sample)]  # the stored model may use a sensor that this campaign does not have
     return ValidationRow(
         component=component,
         campaign=campaign,
@@ -157,7 +158,7 @@ def _figures(
         rms_after_um=float(np.sqrt(np.mean(after**2))),
         reduction_percent=100.0 * (1.0 - max_after / max_before) if max_before > 0 else float("nan"),
         coverage_percent=coverage,
-        rms_in_sample_um=float(np.sqrt(np.mean(in_sample**2))),
+        rms_in_sample_um=float(np.sqrt(np.mean(fitted**2))) if len(fitted) else float("nan"),
     )
 
 
