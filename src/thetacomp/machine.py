@@ -65,6 +65,32 @@ class HeatSource(Strict):
     axis: str | None = None
 
 
+class WantedLength(Strict):
+    """Which length the machine shall make; see docs/wanted_length.md.
+
+    `true`: lengths are true metres, so a part is right if it is at 20 °C when cut. `workpiece`: lengths follow the
+    workpiece, so a part cut warm or cold is right once it is at 20 °C. The workpiece expands by
+    `workpiece_expansion_per_K` from `zero_mm` on each axis (default: P0 of the axis' error) with the temperature of
+    `workpiece_sensor`, which is believed inside `workpiece_degC`.
+    """
+
+    wanted: Literal["true", "workpiece"] = "true"
+    workpiece_expansion_per_K: Annotated[float, Field(gt=0.0, lt=1e-4)] | None = None
+    workpiece_sensor: str | None = None
+    workpiece_degC: tuple[float, float] = (5.0, 45.0)
+    zero_mm: dict[str, float] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _complete(self) -> WantedLength:
+        if self.wanted == "workpiece" and (self.workpiece_expansion_per_K is None or self.workpiece_sensor is None):
+            raise ValueError(
+                'wanted = "workpiece" needs workpiece_expansion_per_K (1/K, steel: 11.5e-6) and workpiece_sensor'
+            )
+        if not self.workpiece_degC[1] > self.workpiece_degC[0]:
+            raise ValueError("workpiece_degC must be [lowest, highest]")
+        return self
+
+
 class Machine(Strict):
     """One machine. Names of axes and ids of sensors are unique; references between them exist."""
 
@@ -72,6 +98,7 @@ class Machine(Strict):
     axes: tuple[Axis, ...] = ()
     sensors: tuple[Sensor, ...]
     heat_sources: tuple[HeatSource, ...] = ()
+    length: WantedLength = WantedLength()
     origin: str = ""
 
     @model_validator(mode="after")
@@ -86,6 +113,8 @@ class Machine(Strict):
             *((f"axis {a.name}", a.sensor, None) for a in self.axes),
             *((f"sensor {s.id}", None, s.axis) for s in self.sensors),
             *((f"heat source {h.name}", h.sensor, h.axis) for h in self.heat_sources),
+            ("length", self.length.workpiece_sensor, None),
+            *(("length, zero_mm", None, name) for name in self.length.zero_mm),
         ):
             if sensor is not None and sensor not in ids:
                 raise ValueError(f"{owner} names the sensor {sensor!r}, which is not in [[sensors]]")

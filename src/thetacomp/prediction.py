@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from thetacomp.campaign import CARTESIAN, Duty, Floats, Temperatures
 from thetacomp.compensation.domain import Limit, history_limits, limits
 from thetacomp.compensation.law import Law, laws
+from thetacomp.compensation.length import follows_workpiece, length_error_um
 from thetacomp.compensation.switch import degraded
 from thetacomp.errors import AnalysisError
 from thetacomp.models.document import Accuracy, Component, HistoryAxis, ModelDocument
@@ -111,7 +112,31 @@ def predict(
         if name in model.history:
             check_history(name, model.history[name])
             _predict_history(model.history[name], temperatures, duty, reference, table)
+    if follows_workpiece(model):
+        _follow_workpiece(model, temperatures, table)
     return table.prediction(replaced)
+
+
+def workpiece_degC(model: ModelDocument, temperatures: Temperatures, t_s: Floats) -> Floats:
+    """Temperature of the workpiece at moments (n,). Raises AnalysisError where its sensor has no column."""
+    (column,) = _columns(temperatures, (model.length.workpiece_sensor or "",))
+    return sampled(temperatures, t_s)[:, column]
+
+
+def _follow_workpiece(model: ModelDocument, temperatures: Temperatures, table: _Table) -> None:
+    """Add what following the workpiece does along each axis; outside its believed temperatures the flag goes on."""
+    for axis in model.axes:
+        rows = table.rows(axis.name)
+        if not len(rows):
+            continue
+        value = workpiece_degC(model, temperatures, table.positions.t_s[rows])
+        k = CARTESIAN.index(axis.cartesian)
+        table.error_um[rows, k] += length_error_um(model, axis, value, table.positions.position_mm[rows])
+        table.missing[rows] |= ~np.isfinite(value)
+        low, high = model.length.workpiece_degC
+        inside = (value >= low) & (value <= high)
+        sensor = model.length.workpiece_sensor or ""
+        table.limit(rows, [Limit("temperature", sensor, value, (low, high), inside)])
 
 
 def _without_missing(

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from thetacomp.campaign import CARTESIAN, Duty, Floats, Temperatures
 from thetacomp.chain import ChainAxis, chain_of
+from thetacomp.compensation.length import follows_workpiece, length_error_um
 from thetacomp.compensation.volume import Part, ThermalParts, spindle_lean, volume_error
 from thetacomp.errors import AnalysisError
+from thetacomp.machine import WantedLength
 from thetacomp.models.document import Accuracy, ModelDocument
-from thetacomp.prediction import Breach, Prediction, Reference, data_row, predict
+from thetacomp.prediction import Breach, Prediction, Reference, data_row, predict, workpiece_degC
 
 Bools = NDArray[np.bool_]
 ANGLES = ("A", "B", "C")
@@ -76,20 +78,28 @@ def predict_volume(
     longer_mm = length_mm - model.tool_length_mm
     _check_length(model, chain, longer_mm, place)
 
+    # The workpiece is followed once, at the end: the slopes are asked for a metre from P0.
+    plain = model.model_copy(update={"length": WantedLength()})
+
     def ask(document: ModelDocument, axis: str, position_mm: Floats) -> Prediction:
         rows = _Rows(t_s, (axis,) * len(t_s), position_mm)
         return predict(document, temperatures, rows, reference, place, duty)
 
-    seen = [ask(model, "", np.full(len(t_s), np.nan)), *(ask(model, a.name, positions_mm[a.name]) for a in chain)]
+    seen = [ask(plain, "", np.full(len(t_s), np.nan)), *(ask(plain, a.name, positions_mm[a.name]) for a in chain)]
     metre = {a.name: np.full(len(t_s), a.p0_mm + 1000.0) for a in chain}
-    slopes = {a.name: _part(ask(model, a.name, metre[a.name])) for a in chain}
-    turning, angle, angle_slopes = _angle_document(model), None, {}
+    slopes = {a.name: _part(ask(plain, a.name, metre[a.name])) for a in chain}
+    turning, angle, angle_slopes = _angle_document(plain), None, {}
     if turning.components:
         angle = _part(ask(turning, "", np.full(len(t_s), np.nan)))
         angle_slopes = {a.name: _part(ask(turning, a.name, metre[a.name])) for a in chain}
     parts = ThermalParts(_part(seen[0]), slopes, angle, angle_slopes)
     error_um, half_um = volume_error(chain, parts, positions_mm, longer_mm)
     missing = np.any([one.missing for one in seen], axis=0)
+    if follows_workpiece(model):
+        degC = workpiece_degC(model, temperatures, t_s)
+        missing |= ~np.isfinite(degC)
+        for axis in (axis for axis in model.axes if axis.name in positions_mm):
+            error_um[:, CARTESIAN.index(axis.cartesian)] += length_error_um(model, axis, degC, positions_mm[axis.name])
     half_um[~np.isfinite(error_um)] = np.nan
     return VolumePrediction(
         t_s=t_s,

@@ -53,6 +53,11 @@ class RegisterLaw:
     factors: tuple[float, ...] = ()
     reference_degC: tuple[float, ...] = ()
 
+    @property
+    def used(self) -> bool:
+        """False where the register stays at zero."""
+        return bool(self.constant or self.sensors)
+
     def at(self, temperature_degC: Mapping[str, Floats]) -> Floats:
         """The register value at n states, shape (n,)."""
         value = np.full(np.shape(next(iter(temperature_degC.values()), np.zeros(1))), self.constant)

@@ -19,6 +19,12 @@ from pydantic import Field
 from thetacomp.campaign import CARTESIAN, Floats
 from thetacomp.compensation.domain import Box, largest, training_box_degC
 from thetacomp.compensation.law import Law, inputs_of, laws
+from thetacomp.compensation.length import (
+    REFERENCE_DEGC,
+    expansion_um_per_m_per_K,
+    follows_workpiece,
+    zero_mm,
+)
 from thetacomp.controllers.base import RegisterLaw, register_law
 from thetacomp.errors import AnalysisError, InputError, Problem
 from thetacomp.machine import Axis, Strict
@@ -100,7 +106,17 @@ class AxisRegisters:
     @property
     def compensation_type(self) -> int:
         """MD32750: bit 0 position-independent, bit 1 position-dependent."""
-        return (1 if self.drift_source else 0) + (2 if self.slope_source else 0)
+        return (1 if self.k0_source else 0) + (2 if self.tan_beta_source else 0)
+
+    @property
+    def k0_source(self) -> str:
+        """What K0 carries, in a word or two; empty where nothing is written."""
+        return self.drift_source or ("workpiece" if self.register_k0_mm.used else "")
+
+    @property
+    def tan_beta_source(self) -> str:
+        """What tanβ carries, in a word or two; empty where nothing is written."""
+        return self.slope_source or ("workpiece" if self.register_tan_beta.used else "")
 
     @property
     def longest_arm_mm(self) -> float:
@@ -206,6 +222,10 @@ def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: 
     model = model.model_copy(update={"components": {name: law.component for name, law in bound.items()}})
     box = training_box_degC(bound.values(), model.training)
     grid = {sensor: np.linspace(*box[sensor], GRID_STATES) for sensor in inputs_of(bound)}
+    if follows_workpiece(model):
+        sensor, (low, high) = model.length.workpiece_sensor or "", model.length.workpiece_degC
+        known = box.get(sensor, (low, high))
+        grid[sensor] = np.linspace(min(low, known[0]), max(high, known[1]), GRID_STATES)
     outputs = {d: _output_axis(model, settings, d) for d in CARTESIAN}
     sources = {d: _drift_source(model, settings, d, outputs[d]) for d in CARTESIAN if outputs[d]}
 
@@ -300,6 +320,16 @@ def _axis_registers(
         tan_beta = register_law(bound[slope], bound[slope].slope, sign * 1e-6)
         clamp_tan_beta = settings.reserve * 1e-6 * largest(bound[slope], bound[slope].slope, box)
         p0_mm = bound[slope].travel_mm[0]
+    if follows_workpiece(model) and outputs[axis.cartesian] == axis.name:
+        p0_mm = p0_mm if slope else zero_mm(model, axis)
+        # Register = sign × axis.sign × E, and E that follows the workpiece is -axis.sign × …: the axis' sign cancels.
+        per_K = -settings.sign_temperature * 1e-6 * expansion_um_per_m_per_K(model.length)
+        span_K = max(abs(degC - REFERENCE_DEGC) for degC in model.length.workpiece_degC)
+        tan_beta = _with_workpiece(tan_beta, model, per_K)
+        clamp_tan_beta += abs(per_K) * span_K
+        if p0_mm != zero_mm(model, axis):
+            k0 = _with_workpiece(k0, model, per_K * (p0_mm - zero_mm(model, axis)))
+            clamp_k0_mm += abs(per_K * (p0_mm - zero_mm(model, axis))) * span_K
     moving = [law.component for law in bound.values() if law.component.axis == axis.name]
     return AxisRegisters(
         axis=axis,
@@ -313,6 +343,17 @@ def _axis_registers(
         clamp_tan_beta=clamp_tan_beta,
         p_min_mm=min((c.p_min_mm for c in moving if c.p_min_mm is not None), default=axis.travel_mm[0]),
         p_max_mm=max((c.p_max_mm for c in moving if c.p_max_mm is not None), default=axis.travel_mm[1]),
+    )
+
+
+def _with_workpiece(register: RegisterLaw, model: ModelDocument, per_K: float) -> RegisterLaw:
+    """The law of a register that also follows the workpiece; its reference is 20 °C, whatever the others' is."""
+    sensor = model.length.workpiece_sensor or ""
+    return RegisterLaw(
+        constant=register.constant,
+        sensors=(*register.sensors, sensor),
+        factors=(*register.factors, per_K),
+        reference_degC=(*register.reference_degC, REFERENCE_DEGC),
     )
 
 

@@ -105,9 +105,9 @@ def register_columns(plan: Plan) -> list[tuple[str, RegisterLaw, int]]:
     """Column name, law and decimal places of every register that changes with temperature."""
     out: list[tuple[str, RegisterLaw, int]] = []
     for axis in plan.axes:
-        if axis.drift_source:
+        if axis.k0_source:
             out.append((f"K0_{axis.channel_axis}_mm", axis.register_k0_mm, 7))
-        if axis.slope_source:
+        if axis.tan_beta_source:
             out.append((f"tanbeta_{axis.channel_axis}", axis.register_tan_beta, 12))
     out += [(f"weight_table_{table.index}", table.weight, 9) for table in plan.tables]
     return out
@@ -158,10 +158,10 @@ def _laws(plan: Plan) -> list[tuple[str, RegisterLaw, float]]:
     out: list[tuple[str, RegisterLaw, float]] = []
     for axis in plan.axes:
         name, arm_um = axis.channel_axis, 1e3 * axis.longest_arm_mm
-        if axis.drift_source:
-            out.append((f"K0[{name}] mm ({axis.drift_source})", axis.register_k0_mm, 1e3))
-        if axis.slope_source:
-            out.append((f"tanbeta[{name}] mm/mm ({axis.slope_source})", axis.register_tan_beta, arm_um))
+        if axis.k0_source:
+            out.append((f"K0[{name}] mm ({axis.k0_source})", axis.register_k0_mm, 1e3))
+        if axis.tan_beta_source:
+            out.append((f"tanbeta[{name}] mm/mm ({axis.tan_beta_source})", axis.register_tan_beta, arm_um))
     out += [(f"weight[{t.index}] ({t.source})", t.weight, 1e3 * t.largest_mm) for t in plan.tables]
     return out
 

@@ -116,8 +116,8 @@ def _registers(plan: Plan, sized: Plan, settings: SinumerikSettings, degC: dict[
     for axis in plan.axes:
         sizes = clamps[axis.axis.name]
         for wanted, name, law, um_per_unit, clamp in (
-            (axis.drift_source, "K0", axis.register_k0_mm, 1e3, sizes.clamp_k0_mm),
-            (axis.slope_source, "tanβ", axis.register_tan_beta, 1e3 * axis.longest_arm_mm, sizes.clamp_tan_beta),
+            (axis.k0_source, "K0", axis.register_k0_mm, 1e3, sizes.clamp_k0_mm),
+            (axis.tan_beta_source, "tanβ", axis.register_tan_beta, 1e3 * axis.longest_arm_mm, sizes.clamp_tan_beta),
         ):
             if wanted:
                 stages = _writer(settings, um_per_unit, clamp)

@@ -7,6 +7,7 @@ from html import escape
 from math import isfinite
 
 from thetacomp import __version__
+from thetacomp.compensation.length import follows_workpiece
 from thetacomp.controllers.base import RegisterLaw
 from thetacomp.controllers.sinumerik import TABLE_POINTS, Plan
 from thetacomp.controllers.sinumerik_files import law_in_digits, number, reference_lines, sensor_names
@@ -120,14 +121,23 @@ def _failed(plan: Plan) -> str:
     return f'<div class="banner">NOT FIT FOR USE: {failed_checks(plan)}.<ul>{items}</ul></div>'
 
 
+def _carried(what: str, source: str | None, law: RegisterLaw, nothing: str, plan: Plan) -> str:
+    """What a register carries, the workpiece's expansion with it."""
+    parts = [f"{what} {source}"] if source else []
+    sensor = plan.model.length.workpiece_sensor
+    if follows_workpiece(plan.model) and sensor in law.sensors:
+        parts.append(f"expansion of the workpiece ({sensor})")
+    return ", ".join(parts) or nothing
+
+
 def _what_goes_where(plan: Plan) -> str:
     axis_rows = [
         [
             f"{axis.channel_axis} (axis {axis.axis.name}, {axis.axis.direction})",
             str(axis.compensation_type),
-            f"intercept of {axis.drift_source}" if axis.drift_source else "0: drift is counted elsewhere",
-            f"slope of {axis.slope_source}" if axis.slope_source else "0: no error of its own in the model",
-            number(axis.register_p0_mm) if axis.slope_source else "–",
+            _carried("intercept of", axis.drift_source, axis.register_k0_mm, "0: drift is counted elsewhere", plan),
+            _carried("slope of", axis.slope_source, axis.register_tan_beta, "0: no error of its own", plan),
+            number(axis.register_p0_mm) if axis.tan_beta_source else "–",
         ]
         for axis in plan.axes
     ]
@@ -258,8 +268,8 @@ def _laws(plan: Plan) -> str:
     for axis in plan.axes:
         arm_um = 1e3 * axis.longest_arm_mm
         for label, wanted, law, um_per_unit in (
-            (f"K0 of {axis.channel_axis}, mm", axis.drift_source, axis.register_k0_mm, 1e3),
-            (f"tanβ of {axis.channel_axis}, mm/mm", axis.slope_source, axis.register_tan_beta, arm_um),
+            (f"K0 of {axis.channel_axis}, mm", axis.k0_source, axis.register_k0_mm, 1e3),
+            (f"tanβ of {axis.channel_axis}, mm/mm", axis.tan_beta_source, axis.register_tan_beta, arm_um),
         ):
             if wanted:
                 rows.append([escape(label), f"<code>{escape(_formula(law, um_per_unit))}</code>"])
@@ -306,9 +316,9 @@ def _writer(plan: Plan) -> str:
     rate = plan.settings.rate_limit_um_per_s
     rows = []
     for axis in plan.axes:
-        if axis.drift_source:
+        if axis.k0_source:
             rows.append([f"K0 of {axis.channel_axis}", f"± {axis.clamp_k0_mm:.4f} mm", f"{rate * 1e-3:.3g} mm/s"])
-        if axis.slope_source:
+        if axis.tan_beta_source:
             slope_rate = rate * 1e-3 / axis.longest_arm_mm
             rows.append([f"tanβ of {axis.channel_axis}", f"± {axis.clamp_tan_beta:.3e} mm/mm", f"{slope_rate:.3g} /s"])
     for table in plan.tables:
@@ -386,7 +396,11 @@ def _limits(plan: Plan) -> str:
         for name, c in model.components.items()
     ]
     sensors = [
-        [s, *_one_decimal(model.training.range_degC[s]), *(_one_decimal(rises[s]) if s in rises else ("–", "–"))]
+        [
+            s,
+            *_one_decimal(model.training.range_degC.get(s, model.length.workpiece_degC)),
+            *(_one_decimal(rises[s]) if s in rises else ("–", "–")),
+        ]
         for s in plan.grid_degC
     ]
     notes = [
@@ -394,7 +408,7 @@ def _limits(plan: Plan) -> str:
         " straight line" + (", while a CEC table holds its end value." if plan.tables else "."),
         "Every sweep was made with the other axes where they stood then. Rotations of the axes over longer arms, and"
         " the tool length, are not compensated.",
-        "The workpiece is not in the model: a warm workpiece is still too long.",
+        _workpiece(plan),
         "If the control compensated temperature or sag while the machine was measured, switch that on again exactly"
         " as it was, or measure anew without it.",
         f"Operating mode of the training: {model.training.mode or 'not stated'}; instrument:"
@@ -412,6 +426,20 @@ def _limits(plan: Plan) -> str:
         + "<ul>"
         + "".join(f"<li>{escape(note)}</li>" for note in notes)
         + "</ul>"
+    )
+
+
+def _workpiece(plan: Plan) -> str:
+    length = plan.model.length
+    if not follows_workpiece(plan.model):
+        return (
+            "Lengths are true: a part that is cut warm is too short at 20 °C, by 345 µm on 3 m of steel at +10 K."
+            ' [length] wanted = "workpiece" in machine.toml follows the workpiece instead.'
+        )
+    return (
+        f"Lengths follow the workpiece ({length.workpiece_expansion_per_K:.4g} 1/K, sensor {length.workpiece_sensor}):"
+        " parts are right once they are at 20 °C. A measurement of the machine itself then shows this expansion as an"
+        " error: verify with the workpiece sensor at 20 °C, or with true lengths."
     )
 
 

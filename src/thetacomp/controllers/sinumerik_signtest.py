@@ -31,10 +31,10 @@ def sign_tests(plan: Plan) -> tuple[SignTest, ...]:
     """Tests of all registers, in the order of the sheet."""
     tests: list[SignTest] = []
     for axis in plan.axes:
-        if axis.drift_source:
+        if axis.k0_source:
             enter = f"$SA_TEMP_COMP_ABS_VALUE[{axis.channel_axis}] = {TEST_MM:.3f}"
             tests.append(_axis_test(plan, axis, "K0", "anywhere", ("SD43900", enter), TEST_MM))
-        if axis.slope_source:
+        if axis.tan_beta_source:
             position_mm = _far_end(axis.register_p0_mm, axis.p_min_mm, axis.p_max_mm)
             tan_beta = round(TEST_MM / (position_mm - axis.register_p0_mm), 9)
             enter = f"$SA_TEMP_COMP_SLOPE[{axis.channel_axis}] = {tan_beta:.9f}"

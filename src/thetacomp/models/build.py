@@ -46,6 +46,7 @@ def build_document(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         machine=folder.machine.name,
         axes=folder.machine.axes,
+        length=folder.machine.length,
         sign="unproven" if unproven else "stated",
         method=method,
         components=components,

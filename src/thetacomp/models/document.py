@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError
 
 from thetacomp.errors import ModelFileError
-from thetacomp.machine import Axis, Strict
+from thetacomp.machine import Axis, Strict, WantedLength
 from thetacomp.models.band import Band
 from thetacomp.models.reach import Reach
 from thetacomp.models.validity import Validity
@@ -200,6 +200,7 @@ class ModelDocument(Strict):
         return self.failed_static_checks if self.history else self.failed_checks
 
     form: Literal["separate", "joint"] = "separate"
+    length: WantedLength = WantedLength()
     tool_length_mm: float = 0.0
     rotations: dict[str, Component] = Field(default_factory=dict)
 

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from thetacomp.campaign import CampaignSettings, TrackerSettings
-from thetacomp.machine import Axis, HeatSource, Machine, Sensor
+from thetacomp.machine import Axis, HeatSource, Machine, Sensor, WantedLength
 from thetacomp.reading.columns import TIME
 from thetacomp.reading.problems import ProblemList, UnreadableError, nearest, quoted, shortened
 from thetacomp.reading.text import decode, read_bytes
@@ -109,14 +109,21 @@ def machine_from_toml(path: Path, file: str, problems: ProblemList) -> Machine |
             "missing-key", file, "there is no [machine] section.", 'add [machine] with name = "…" to the file.'
         )
         return None
-    good = _known_keys(raw, ("format", "machine", "axes", "sensors", "heat_sources"), "the file", file, problems)
+    parts = ("axes", "sensors", "heat_sources", "length")
+    good = _known_keys(raw, ("format", "machine", *parts), "the file", file, problems)
     good &= _known_keys(head, ("name", "origin"), "[machine]", file, problems)
-    body = {key: value for key, value in raw.items() if key in ("axes", "sensors", "heat_sources")}
+    body = {key: value for key, value in raw.items() if key in parts}
     head = {key: value for key, value in head.items() if key in ("name", "origin")}
     try:
         machine = Machine.model_validate({**head, **body})
     except ValidationError as exc:
-        sections: Sections = {"axes": Axis, "sensors": Sensor, "heat_sources": HeatSource, "": Machine}
+        sections: Sections = {
+            "axes": Axis,
+            "sensors": Sensor,
+            "heat_sources": HeatSource,
+            "length": WantedLength,
+            "": Machine,
+        }
         translate(exc, {**head, **body}, sections, file, problems)
         return None
     return machine if _machine_is_plausible(machine, file, problems) and good else None
