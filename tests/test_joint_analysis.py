@@ -68,7 +68,7 @@ def test_held_out_rows_hold_the_whole_error_of_the_point(joint: Analysis) -> Non
 def test_the_fit_of_an_axis_is_drawn_without_an_empty_intercept(joint: Analysis) -> None:
     figures = {figure.name: figure for figure in fit_over_temperature(joint)}
     assert figures["fit_X"].title == "Slope against temperature, axis X" or "prediction" in figures["fit_X"].title
-    assert [axes.get_title().split(" ·")[0] for axes in figures["fit_X"].figure.axes[:3]] == [
+    assert [axes.get_title(loc="left").split(" ·")[0] for axes in figures["fit_X"].figure.axes[:3]] == [
         f"E{d}X slope" for d in "XYZ"
     ]
     assert figures["fit_drift"].title.startswith("Drift against")
