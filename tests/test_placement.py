@@ -232,6 +232,16 @@ def test_modes_keep_what_the_tool_needs_and_the_field_needs():
     assert 0.0 <= lost < 1e-4 * np.trace(outputs @ covariance @ outputs.T)
 
 
+def test_a_mode_that_only_the_tool_feels_is_kept():
+    # Ten coordinates heat the places, the last one a thousandth as much; it alone bends the machine.
+    rng = np.random.default_rng(6)
+    rows = rng.normal(size=(50, 10)) * np.array([1.0] * 9 + [1e-3])
+    outputs = np.zeros((3, 10))
+    outputs[:, 9] = 30.0
+    few = field_of_modes(rows, outputs, np.eye(10), 3)
+    assert np.sum(few.outputs_um**2) == pytest.approx(3 * 30.0**2, rel=1e-3)
+
+
 def test_a_lagging_place_is_less_linear_than_one_that_follows_the_tool():
     # A warm-up and cool-down: the tool follows a first-order rise; place 0 does so too, place 1 runs ahead, 2 behind.
     t = np.arange(200.0)
