@@ -12,11 +12,13 @@ import numpy as np
 
 from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder
 from thetacomp.errors import AnalysisError
+from thetacomp.machine import WantedLength
 from thetacomp.models.document import ModelDocument
 from thetacomp.models.procedures import key_point_procedure
 from thetacomp.prediction import predict
 from thetacomp.separation import ComponentSeparation
 from thetacomp.states import AxisStates
+from thetacomp.volumetric import predict_volume
 
 Expected = tuple[Floats, Floats]
 
@@ -84,18 +86,43 @@ def model_pattern(
 def _at(model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s: Floats, position_mm: float) -> Floats:
     """Predicted error at one position less its mean over the cold block, (n,)."""
     times = np.concatenate([own.zero_t_s, t_s])
-    places = _Places(times, (own.axis or "",) * len(times), np.full(len(times), position_mm))
-    prediction = predict(
-        model,
-        campaign.temperatures,
-        places,
-        float(own.zero_t_s.mean()),
-        lambda i: f"campaign {campaign.name}, {own.component} at {times[i]:.0f} s",
-    )
-    value = prediction.error_um[:, CARTESIAN.index(own.direction)]
+    # A tracker measures true metres, whatever length the parts shall have.
+    model = model.model_copy(update={"length": WantedLength()})
+    zero_s = float(own.zero_t_s.mean())
+
+    def place(i: int) -> str:
+        return f"campaign {campaign.name}, {own.component} at {times[i]:.0f} s"
+
+    if model.form == "joint" and own.axis:
+        # Here the drift is a component of its own, and the other axes tilt where they stand.
+        places_mm = _standing_mm(model, campaign, own.axis, times) | {own.axis: np.full(len(times), position_mm)}
+        whole = predict_volume(model, campaign.temperatures, times, places_mm, None, zero_s, place, duty=campaign.duty)
+        value = whole.error_um[:, CARTESIAN.index(own.direction)]
+    else:
+        places = _Places(times, (own.axis or "",) * len(times), np.full(len(times), position_mm))
+        prediction = predict(model, campaign.temperatures, places, zero_s, place, campaign.duty)
+        value = prediction.error_um[:, CARTESIAN.index(own.direction)]
     cold = value[: len(own.zero_t_s)]
     zero = float(cold[np.isfinite(cold)].mean()) if np.isfinite(cold).any() else 0.0
     return np.asarray(value[len(own.zero_t_s) :] - zero)
+
+
+def _standing_mm(model: ModelDocument, campaign: Campaign, moving: str, times: Floats) -> dict[str, Floats]:
+    """Where the other axes of the model stood while an axis moved, each (n,); at P0 where nobody wrote it down."""
+    p0_mm = {c.axis: c.p0_mm for c in model.components.values() if c.axis is not None and c.p0_mm is not None}
+    out = {}
+    points = campaign.sweeps
+    for name, middle_mm in p0_mm.items():
+        if name == moving:
+            continue
+        out[name] = np.full(len(times), middle_mm)
+        if points is None or name not in points.at_mm:
+            continue
+        known = np.isfinite(points.at_mm[name]) & (np.array(points.axis) == moving)
+        if known.any():
+            nearest = np.abs(points.t_s[known][None, :] - times[:, None]).argmin(axis=1)
+            out[name] = points.at_mm[name][known][nearest]
+    return out
 
 
 def _nothing(n: int) -> Expected:
