@@ -65,6 +65,13 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
             f"key points of {where}: {', '.join(chosen.key_points) or 'none, no sensor predicts held-out data'}"
         )
     lines += _screening_lines(analysis)
+    for axis in analysis.model.history.values():
+        where = f"axis {axis.axis}" if axis.axis else "drift"
+        speed = " and spindle speed" if axis.layout.speed_powers else ""
+        lines.append(
+            f"in use for {where}: heat history of {len(axis.layout.sensors)} sensors{speed}"
+            f" ({axis.candidates} block models weighed over {axis.campaigns} campaigns)"
+        )
     lines += ["", *_before_and_after(analysis), ""]
     if failed:
         lines.append("NOT FIT FOR USE yet; failed acceptance checks:")
@@ -74,12 +81,17 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
             f"all {len(analysis.acceptance)} acceptance checks passed on held-out data;"
             " still open is the sign test on the machine, which every export describes"
         )
+    if analysis.model.failed_static_checks:
+        lines.append("not fit for a control: the law on key points, which it would carry, failed:")
+        lines += [f"  - {line}" for line in analysis.model.failed_static_checks]
     lines += ["", f"open {out / 'report.html'}; model in {out / 'model.json'}"]
     data = {
         "fit_for_use": not failed,
         "key_points": {chosen.axis or "drift": list(chosen.key_points) for chosen in analysis.key_points},
         "equations": {name: c.equation for name, c in analysis.model.components.items()},
         "validation": [asdict(row) for row in analysis.validation],
+        "heat_history": sorted(key or "drift" for key in analysis.model.history),
+        "failed_static_checks": list(analysis.model.failed_static_checks),
         "acceptance": [asdict(check) for check in analysis.acceptance],
         "permutations": [asdict(test) for test in analysis.permutations],
         "screening": [
