@@ -11,7 +11,7 @@ from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parame
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.models.axis_model import all_sensors, clock, fit_axis, training_mean
-from thetacomp.models.procedures import default_procedure
+from thetacomp.models.procedures import key_point_procedure
 from thetacomp.screening import with_fault
 from thetacomp.separation import separate_folder
 from thetacomp.states import AxisStates, axis_states
@@ -141,7 +141,7 @@ def test_nothing_of_a_held_out_campaign_reaches_its_model() -> None:
     for folder in (clean, poisoned):
         (states,) = axis_states(folder, separate_folder(folder), names)
         fold = hold_out(states)[1][2]
-        models.append(default_procedure(MACHINE)(states.take(fold.train)))
+        models.append(key_point_procedure(MACHINE)(states.take(fold.train)))
     assert models[0].inputs == models[1].inputs
     for component, regression in models[0].regressions.items():
         assert regression.coef_ == pytest.approx(models[1].regressions[component].coef_)
@@ -209,7 +209,7 @@ def test_folds_that_choose_other_sensors_are_told() -> None:
     analysis = analyze_folder(MachineFolder(MACHINE, tuple(twin)))
     folder = MachineFolder(MACHINE, tuple(twin))
     (states,) = axis_states(folder, separate_folder(folder), [c.name for c in twin])
-    procedure = default_procedure(MACHINE)
+    procedure = key_point_procedure(MACHINE)
     stored = set(procedure(states).inputs)
     differ = sum(set(procedure(states.take(f.train)).inputs) != stored for f in hold_out(states)[1])
     told = [note for note in analysis.notes if "folds chose" in note]
@@ -243,12 +243,12 @@ def test_noise_is_not_accepted() -> None:
 
 def test_permutation_tells_chance_from_truth() -> None:
     rng = np.random.default_rng(0)
-    real = permutation_test(_states(1), default_procedure(MACHINE), rng)
+    real = permutation_test(_states(1), key_point_procedure(MACHINE), rng)
     assert real is not None
     assert real.r2 > 0.99
     assert real.p_value == pytest.approx(0.01)
     assert real.r2_shuffled_median < 0.5
-    assert permutation_test(_states(1).take(np.arange(4)), default_procedure(MACHINE), rng) is None
+    assert permutation_test(_states(1).take(np.arange(4)), key_point_procedure(MACHINE), rng) is None
 
 
 def test_three_of_thirty_sensors_on_eight_noise_states_look_excellent_by_chance() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -12,15 +12,17 @@ from thetacomp.errors import AnalysisError
 from thetacomp.keypoints.states import correlation_tables, parameter_table
 from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
 from thetacomp.models.build import build_document
-from thetacomp.models.history_model import history_procedure
-from thetacomp.models.procedures import default_procedure, paper_procedure
+from thetacomp.models.document import HistoryAxis
+from thetacomp.models.history_model import MIN_CAMPAIGNS
+from thetacomp.models.procedures import key_point_procedure, paper_procedure
 from thetacomp.screening import fit_screening, screen
 from thetacomp.separation import ComponentSeparation, separate_campaign
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
-from thetacomp.validation.acceptance import acceptance_checks, in_words
+from thetacomp.validation.acceptance import KEY_POINTS, acceptance_checks, acceptance_of_static_law, in_words
+from thetacomp.validation.calibrated import calibrated_history
 from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test
 from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
@@ -29,6 +31,7 @@ from thetacomp.validation.verdict import with_verdict
 
 SEED = 20120951
 FORWARD = "forward"
+METHOD = "weighted key points with least squares; heat history with averaged block ridge where campaigns suffice"
 MIN_SCREENING_CAMPAIGNS = 2
 MIN_SCREENING_SAMPLES = 100
 
@@ -63,26 +66,22 @@ def analyze_folder(
     training = axis_states(folder, separations, train) if test else everything
 
     progress("choosing key points and fitting")
-    procedure, paper = default_procedure(folder.machine), paper_procedure(folder.machine)
+    procedure, paper = key_point_procedure(folder.machine), paper_procedure(folder.machine)
     fitted = _fit(training, procedure)
     fitted_paper = _fit_where_possible(training, paper)
     notes = _notes(campaigns, separations) + _dropped_notes(separations, everything) + findings
-    model = build_document(folder, fitted, "default: weighted key points, least squares", train, notes)
+    model = build_document(folder, fitted, METHOD, train, notes, history=_fit_history(everything, training, test))
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
 
     progress("validating on held-out data")
-    residuals, rows, held_out, fold_notes = _validate(folder, everything, test, fitted, procedure, paper)
+    residuals, rows, held_out, fold_notes = _validate(folder, everything, test, fitted, model.history, procedure, paper)
     permutations = _permutations(training, procedure)
     judged = [r for r in residuals if r.split != FORWARD]
     judged_rows = [row for row in rows if row.split != FORWARD]
     acceptance = acceptance_checks(judged, judged_rows, permutations, model)
+    static = acceptance_of_static_law(judged, judged_rows, permutations, model) if model.history else ()
     notes += fold_notes
-    model = with_verdict(
-        model,
-        judged_rows,
-        tuple(in_words(check) for check in acceptance if not check.passed),
-        notes,
-    )
+    model = with_verdict(model, judged_rows, _failed(acceptance), _failed(static), notes)
     parameter_correlations, sensor_correlations = correlation_tables([parameter_table(s) for s in training])
     return Analysis(
         folder=folder,
@@ -144,6 +143,28 @@ def _fit(training: Sequence[AxisStates], procedure: Procedure) -> list[tuple[Axi
     return [(states, procedure(states)) for states in training]
 
 
+def _fit_history(
+    everything: Sequence[AxisStates], training: Sequence[AxisStates], test: Sequence[str]
+) -> tuple[HistoryAxis, ...]:
+    """Models on heat history for the axes that have enough campaigns to choose everything inside and to hold out."""
+    own = {states.axis: states for states in training}
+    return tuple(calibrated_history(own[s.axis]).document for s in everything if _has_history(s, _main_folds(s, test)))
+
+
+def _has_history(states: AxisStates, folds: Sequence[Fold]) -> bool:
+    """A model on heat history holds out campaigns inside its training, so every fold must train on enough of them."""
+    trained = [len(np.unique(states.campaign[fold.train])) for fold in folds]
+    return states.layout is not None and min(trained, default=0) >= MIN_CAMPAIGNS
+
+
+def _main_folds(states: AxisStates, test: Sequence[str]) -> tuple[Fold, ...]:
+    return named_test(states, test) if test else hold_out(states)[1]
+
+
+def _failed(checks: Sequence[AcceptanceCheck]) -> tuple[str, ...]:
+    return tuple(in_words(check) for check in checks if not check.passed)
+
+
 def _fit_where_possible(training: Sequence[AxisStates], procedure: Procedure) -> list[tuple[AxisStates, AxisModel]]:
     """The paper's model stands beside ours: an axis that it cannot serve does not stop the analysis."""
     fitted = []
@@ -184,6 +205,7 @@ def _validate(
     everything: Sequence[AxisStates],
     test: Sequence[str],
     fitted: Sequence[tuple[AxisStates, AxisModel]],
+    history: Mapping[str, HistoryAxis],
     procedure: Procedure,
     paper: Procedure,
 ) -> tuple[list[Residuals], tuple[ValidationRow, ...], tuple[HeldOutStates, ...], tuple[str, ...]]:
@@ -195,17 +217,17 @@ def _validate(
     stored = {model.axis: model.inputs for _, model in fitted}
     for states in everything:
         procedures: dict[str, AnyProcedure] = {
-            "default": procedure,
+            "default": calibrated_history if states.axis in history else procedure,
+            KEY_POINTS: procedure,
             "clock": clock,
             "one_sensor": paper,
             "all_sensors": all_sensors,
-            "heat_history": history_procedure,
         }
+        if states.axis not in history:
+            del procedures[KEY_POINTS]
         if folder.campaign(states.campaigns[0]).settings.datum == "common":
             procedures["training_mean"] = training_mean
-        split, folds = hold_out(states)
-        if test:
-            split, folds = "test", named_test(states, test)
+        split, folds = "test" if test else hold_out(states)[0], _main_folds(states, test)
         own: list[Residuals] = []
         for kind, some in ((split, folds), (FORWARD, _new_folds(forward_in_time(states), folds))):
             if some:

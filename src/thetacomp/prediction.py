@@ -11,11 +11,13 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from thetacomp.campaign import CARTESIAN, Floats, Temperatures
-from thetacomp.compensation.domain import Limit, limits
+from thetacomp.campaign import CARTESIAN, Duty, Floats, Temperatures
+from thetacomp.compensation.domain import Limit, history_limits, limits
 from thetacomp.compensation.law import Law, laws
 from thetacomp.errors import AnalysisError
-from thetacomp.models.document import Component, ModelDocument
+from thetacomp.models.document import Component, HistoryAxis, ModelDocument
+from thetacomp.models.history_law import HistoryLaw, HistoryMoments, check_history
+from thetacomp.temperature.track import recorded_inputs
 
 Reference = Literal["first_row", "model"] | float
 Bools = NDArray[np.bool_]
@@ -83,52 +85,122 @@ def predict(
     positions: PositionTable,
     reference: Reference = "first_row",
     place: Callable[[int], str] = data_row,
+    duty: Duty | None = None,
 ) -> Prediction:
     """Predict the error at every row of `positions`.
 
     `reference` is the moment of zero: the first row of the temperatures, a time in s on their clock (both drop the
     constant of the fit, so that the error is exactly zero there), or the reference stored in the model (constant
     kept). Temperatures are linear between samples; a gap stays a gap, and the last sample holds for one sampling
-    interval. An error that no sensor predicts stays at its constant. `place` names row i of the positions in
-    messages. Raises AnalysisError where the model cannot answer.
+    interval. An error that no sensor predicts stays at its constant. Where the model has heat history for an axis it
+    is used: its filters start at rest on the first row of the temperatures, and `duty` gives the spindle speed where
+    the model needs it. `place` names row i of the positions in messages. Raises AnalysisError where the model cannot
+    answer.
     """
     wanted = {name: c for name, c in model.components.items() if _asked_for(c, positions)}
     _check_axes(model, positions, wanted, place)
-    cut = model.model_copy(update={"components": wanted})
-    inputs = tuple(dict.fromkeys(sensor for component in wanted.values() for sensor in component.inputs))
-    columns = _columns(temperatures, inputs)
     _check_times(temperatures, positions, place)
-    bound = laws(cut, _reference_degC(temperatures, inputs, columns, reference))
-    degC = dict(zip(inputs, sampled(temperatures, positions.t_s)[:, columns].T, strict=True))
+    table = _Table(positions)
+    static = {name: c for name, c in wanted.items() if (c.axis or "") not in model.history}
+    _predict_static(model.model_copy(update={"components": static}), temperatures, reference, table)
+    for name in dict.fromkeys(positions.axis):
+        if name in model.history:
+            check_history(name, model.history[name])
+            _predict_history(model.history[name], temperatures, duty, reference, table)
+    return table.prediction()
 
-    n = len(positions.t_s)
-    axis = np.array(positions.axis, dtype=str)
-    error_um, lower_um, upper_um = (np.full((n, 3), np.nan) for _ in range(3))
-    domain, missing = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
-    seen: list[tuple[NDArray[np.intp], Limit]] = []
+
+class _Table:
+    """The rows of a prediction while they are being filled in, axis by axis."""
+
+    def __init__(self, positions: PositionTable) -> None:
+        n = len(positions.t_s)
+        self.positions = positions
+        self.axis = np.array(positions.axis, dtype=str)
+        self.error_um, self.half_um = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+        self.domain, self.missing = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+        self.seen: list[tuple[NDArray[np.intp], Limit]] = []
+
+    def rows(self, axis: str | None) -> NDArray[np.intp]:
+        """Rows of one axis, None for drift."""
+        return np.flatnonzero(self.axis == (axis or ""))
+
+    def limit(self, rows: NDArray[np.intp], limits_: Sequence[Limit]) -> None:
+        """Take the rows out of the domain that break one of these limits."""
+        for one in limits_:
+            self.domain[rows] &= one.inside
+            self.seen.append((rows, one))
+
+    def prediction(self) -> Prediction:
+        """The finished table: a row without an input has no values."""
+        lower_um, upper_um = self.error_um - self.half_um, self.error_um + self.half_um
+        for values in (self.error_um, lower_um, upper_um):
+            values[self.missing] = np.nan
+        return Prediction(
+            t_s=self.positions.t_s,
+            axis=tuple(self.positions.axis),
+            position_mm=self.positions.position_mm,
+            error_um=self.error_um,
+            lower_um=lower_um,
+            upper_um=upper_um,
+            in_domain=self.domain,
+            missing=self.missing,
+            breaches=_breaches(self.seen),
+        )
+
+
+def _predict_static(model: ModelDocument, temperatures: Temperatures, reference: Reference, table: _Table) -> None:
+    inputs = tuple(dict.fromkeys(sensor for component in model.components.values() for sensor in component.inputs))
+    columns = _columns(temperatures, inputs)
+    bound = laws(model, _reference_degC(temperatures, inputs, columns, reference))
+    degC = dict(zip(inputs, sampled(temperatures, table.positions.t_s)[:, columns].T, strict=True))
     for law in bound.values():
-        rows = np.flatnonzero(axis == (law.component.axis or ""))
+        rows = table.rows(law.component.axis)
+        position_mm = table.positions.position_mm[rows]
         theta = np.array([degC[sensor][rows] for sensor in law.inputs]).reshape(len(law.inputs), len(rows)).T
         k = CARTESIAN.index(law.component.direction)
-        error_um[rows, k], half_um = _row_values(law, theta, positions.position_mm[rows])
-        lower_um[rows, k], upper_um[rows, k] = error_um[rows, k] - half_um, error_um[rows, k] + half_um
-        missing[rows] |= ~np.isfinite(theta).all(axis=1)
-        for limit in limits(law, model.training, theta, positions.position_mm[rows]):
-            domain[rows] &= limit.inside
-            seen.append((rows, limit))
-    for values in (error_um, lower_um, upper_um):
-        values[missing] = np.nan
-    return Prediction(
-        t_s=positions.t_s,
-        axis=tuple(positions.axis),
-        position_mm=positions.position_mm,
-        error_um=error_um,
-        lower_um=lower_um,
-        upper_um=upper_um,
-        in_domain=domain,
-        missing=missing,
-        breaches=_breaches(seen),
-    )
+        table.error_um[rows, k], table.half_um[rows, k] = _row_values(law, theta, position_mm)
+        table.missing[rows] |= ~np.isfinite(theta).all(axis=1)
+        table.limit(rows, limits(law, model.training, theta, position_mm))
+
+
+def _predict_history(
+    axis: HistoryAxis, temperatures: Temperatures, duty: Duty | None, reference: Reference, table: _Table
+) -> None:
+    rows = table.rows(axis.axis)
+    t_s, position_mm = table.positions.t_s[rows], table.positions.position_mm[rows]
+    law = history_law(axis, temperatures, duty, reference, t_s)
+    lever_m = np.zeros(len(rows)) if axis.p0_mm is None else (position_mm - axis.p0_mm) / 1000.0
+    for name, component in axis.components.items():
+        k = CARTESIAN.index(component.direction)
+        intercept_um, slope_um_per_m = law.line(name)
+        table.error_um[rows, k] = intercept_um + slope_um_per_m * lever_m
+        table.half_um[rows, k] = law.half_width_um(name)
+    table.missing[rows] |= ~np.isfinite(law.moments.moved).all(axis=1)
+    table.limit(rows, history_limits(law, position_mm))
+
+
+def history_law(
+    axis: HistoryAxis, temperatures: Temperatures, duty: Duty | None, reference: Reference, t_s: Floats
+) -> HistoryLaw:
+    """The law of an axis on heat history at the moments `t_s`, which lie on the clock of the temperatures.
+
+    The filters start at rest on the first row. Raises AnalysisError for a missing sensor, speed or reference.
+    """
+    _columns(temperatures, axis.layout.sensors)
+    if not axis.layout.speed_powers:
+        duty = None
+    clock_s, inputs = recorded_inputs(axis.layout, [(temperatures, duty)])
+    recorded = Temperatures(clock_s, tuple(str(j) for j in range(inputs.shape[1])), inputs)
+    if reference == "model":
+        zero = np.array(axis.reference.inputs)
+    else:
+        at_s = _reference_s(temperatures, reference)
+        zero = sampled(recorded, np.array([at_s]))[0]
+        lacking = [s for s, value in zip(axis.layout.sensors, zero, strict=False) if not np.isfinite(value)]
+        _refuse_missing_reference(lacking, at_s)
+    values = sampled(recorded, t_s)
+    return HistoryLaw(axis, HistoryMoments(values - zero, values[:, : len(axis.layout.sensors)]))
 
 
 def sampled(temperatures: Temperatures, t_s: Floats) -> Floats:
@@ -248,20 +320,29 @@ def _reference_degC(
     """Temperatures of the inputs at the moment of zero; None for the reference stored in the model."""
     if reference == "model":
         return None
+    at_s = _reference_s(temperatures, reference)
+    value = sampled(temperatures, np.array([at_s]))[0, columns]
+    _refuse_missing_reference([s for s, degC in zip(inputs, value, strict=True) if not np.isfinite(degC)], at_s)
+    return dict(zip(inputs, value.tolist(), strict=True))
+
+
+def _reference_s(temperatures: Temperatures, reference: Reference) -> float:
+    """The moment of zero on the clock of the temperatures."""
     at_s = float(temperatures.t_s[0]) if reference == "first_row" else float(reference)
     if not temperatures.t_s[0] <= at_s <= temperatures.t_s[-1]:
         raise AnalysisError(
             f"reference {_plain(at_s)} s lies outside the temperatures, which run from {_plain(temperatures.t_s[0])}"
             f" to {_plain(temperatures.t_s[-1])} s. Fix: choose a time inside, or `--reference model`."
         )
-    value = sampled(temperatures, np.array([at_s]))[0, columns]
-    lacking = [sensor for sensor, degC in zip(inputs, value, strict=True) if not np.isfinite(degC)]
+    return at_s
+
+
+def _refuse_missing_reference(lacking: Sequence[str], at_s: float) -> None:
     if lacking:
         raise AnalysisError(
             f"temperatures: {', '.join(lacking)} has no value at the reference, t_s = {_plain(at_s)}."
             " Fix: choose another moment with `--reference TIME`, or `--reference model`."
         )
-    return dict(zip(inputs, value.tolist(), strict=True))
 
 
 def _plain(value: float) -> str:

@@ -48,8 +48,9 @@ class AxisStates:
     what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing values are NaN. `exact_zero` says
     that S = I = 0 holds exactly at the reference, as in separated sweeps; in drift and in parameters from elsewhere the
     cold state is a measurement like any other, and with a common datum there is no zero of the campaign's own.
-    `history` (n, k) holds lagged temperatures and speeds as differences from the reference, described by `layout`
-    (None, and no columns, where no sensor was read in all campaigns).
+    `history` (n, k) holds lagged temperatures and speeds as differences from the reference, whose own values are
+    `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was read in all
+    campaigns).
     """
 
     axis: str
@@ -72,6 +73,7 @@ class AxisStates:
     cold_intercept_um: Floats
     cold_slope_um_per_m: Floats
     history: Floats
+    reference_history: Floats
     layout: HistoryLayout | None
     samples: tuple[Samples, ...]
 
@@ -89,9 +91,12 @@ class AxisStates:
         return max(self.p_max_mm - self.p0_mm, self.p0_mm - self.p_min_mm) / 1000.0
 
     def take(self, rows: Ints) -> AxisStates:
-        """The same table with some of its rows; samples are not carried over, they belong to the whole table."""
+        """The same table with some of its rows, each once, and with their samples."""
         chosen: dict[str, Any] = {name: getattr(self, name)[rows] for name in _BY_ROW}
-        return replace(self, samples=(), **chosen)
+        row_of = np.full(len(self), -1)
+        row_of[rows] = np.arange(len(chosen["t_s"]))
+        samples = tuple(_renumbered(samples, row_of) for samples in self.samples)
+        return replace(self, samples=samples, **chosen)
 
     def parameters(self) -> tuple[tuple[str, ...], Floats, Floats]:
         """Names, values (n, m) and µm weights (m,) of all parameters that can vote.
@@ -107,6 +112,12 @@ class AxisStates:
             values.append(self.slope_um_per_m)
             weights += [self.half_travel_m] * len(self.components)
         return tuple(names), np.hstack(values), np.array(weights)
+
+
+def _renumbered(samples: Samples, row_of: Ints) -> Samples:
+    """The samples of the rows that are kept, `row_of` (rows,) naming their new row or -1."""
+    kept = samples.take(row_of[samples.state] >= 0)
+    return replace(kept, state=row_of[kept.state])
 
 
 def axis_states(
@@ -226,6 +237,7 @@ def _campaign_states(
         cold_intercept_um=cold_intercept,
         cold_slope_um_per_m=cold_slope,
         history=track.at(t_s),
+        reference_history=np.tile(track.reference, (n, 1)),
         layout=layout,
         samples=tuple(_samples(campaign, sensors, s, states, reference, p0_mm, track) for s in own),
     )
@@ -261,6 +273,7 @@ _BY_ROW = (
     "cold_intercept_um",
     "cold_slope_um_per_m",
     "history",
+    "reference_history",
 )
 
 

@@ -81,7 +81,7 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
     return Outcome("\n".join(lines), data, NOT_FIT if failed else DONE)
 
 
-SHOWN = ("default", "clock", "one_sensor", "all_sensors", "heat_history", "training_mean")
+SHOWN = ("default", "key_points", "clock", "one_sensor", "all_sensors", "training_mean")
 
 
 def _before_and_after(analysis: Analysis) -> list[str]:

@@ -24,20 +24,25 @@ def predict(
     temperatures: Annotated[Path, typer.Option(help="Table: t_s and one column a sensor, °C.")],
     positions: Annotated[Path, typer.Option(help="Table: t_s, axis, position_mm; axis empty for drift.")],
     out: Annotated[Path, typer.Option(help="CSV file to write.")],
+    duty: Annotated[
+        Path | None, typer.Option(help="Table: t_s, spindle_rpm; where the model was trained with the spindle speed.")
+    ] = None,
     reference: Annotated[
         str, typer.Option(help="Moment of zero: first_row, model, or a time of the temperature table.")
     ] = "first_row",
     as_json: JsonOption = False,
 ) -> None:
     """Predict the thermal error, with 95 % bounds, from temperatures and positions."""
-    run(lambda: _predict(model, temperatures, positions, out, reference), as_json)
+    run(lambda: _predict(model, temperatures, positions, duty, out, reference), as_json)
 
 
-def _predict(model_path: Path, temperatures_path: Path, positions_path: Path, out: Path, reference: str) -> Outcome:
+def _predict(
+    model_path: Path, temperatures_path: Path, positions_path: Path, duty_path: Path | None, out: Path, reference: str
+) -> Outcome:
     from thetacomp.errors import AnalysisError
     from thetacomp.models.document import load_model
     from thetacomp.prediction import predict, write_prediction
-    from thetacomp.reading import read_positions, read_temperatures
+    from thetacomp.reading import read_duty, read_positions, read_temperatures
 
     model = load_model(model_path)
     temperatures = read_temperatures(temperatures_path)
@@ -48,7 +53,8 @@ def _predict(model_path: Path, temperatures_path: Path, positions_path: Path, ou
             " need the joint form, which this version does not have. Fix: give t_s, axis, position_mm."
         )
     moment = _reference(reference, temperatures)
-    prediction = predict(model, temperatures, positions, moment, _place(positions_path))
+    duty = read_duty(duty_path) if duty_path is not None else None
+    prediction = predict(model, temperatures, positions, moment, _place(positions_path), duty)
     write_prediction(prediction, out)
     zero = _reference_text(moment, temperatures, model, prediction)
     return _outcome(model, prediction, out, zero, tool_length_given=positions.tool_length_mm is not None)
@@ -100,7 +106,10 @@ def _reference_text(
     """Where the thermal error counts as zero in this prediction, in words."""
     if reference == "model":
         asked = [c for c in model.components.values() if (c.axis or "") in prediction.axis]
-        moments = dict.fromkeys(f"campaign {c.reference.campaign} at {c.reference.t_s:.10g} s" for c in asked)
+        zeros = [
+            model.history[c.axis or ""].reference if (c.axis or "") in model.history else c.reference for c in asked
+        ]
+        moments = dict.fromkeys(f"campaign {zero.campaign} at {zero.t_s:.10g} s" for zero in zeros)
         return f"the model's own, {'; '.join(moments)}; the constants of the fit are kept"
     if reference == "first_row":
         return f"first row of the temperatures, {_moment(float(temperatures.t_s[0]))}; the error is zero there"
@@ -113,7 +122,12 @@ def _moment(t_s: float) -> str:
     return f"time = {datetime.fromtimestamp(t_s, UTC).replace(tzinfo=None).isoformat()}"
 
 
-_UNITS = {"temperature": "°C", "rise": "K above the reference", "position": "mm"}
+_UNITS = {
+    "temperature": "°C",
+    "rise": "K above the reference",
+    "position": "mm",
+    "distance": "(1: border of the training)",
+}
 
 
 def _rows(count: int) -> str:
@@ -122,7 +136,7 @@ def _rows(count: int) -> str:
 
 def _breach_text(breach: Breach) -> str:
     low, high = breach.values
-    what = "position of " if breach.kind == "position" else "rise of " if breach.kind == "rise" else ""
+    what = {"position": "position of ", "rise": "rise of ", "distance": "distance from training, "}.get(breach.kind, "")
     return (
         f"    {what}{breach.name}: {_rows(breach.rows)} outside; values {low:.6g} … {high:.6g},"
         f" trained {breach.trained[0]:.6g} … {breach.trained[1]:.6g} {_UNITS[breach.kind]}"
@@ -141,8 +155,14 @@ def _outcome(
         for d, column in zip("XYZ", prediction.error_um.T, strict=True)
     }
     asked = {name: c for name, c in model.components.items() if (c.axis or "") in prediction.axis}
-    unpredicted = [name for name, component in asked.items() if not component.inputs]
+    unpredicted = [name for name, c in asked.items() if not c.inputs and (c.axis or "") not in model.history]
+    history = sorted({c.axis or "drift" for c in asked.values() if (c.axis or "") in model.history})
     lines = [f"{_rows(rows)} written to {out}", f"  reference: {reference}"]
+    if history:
+        lines.append(
+            f"  heat history for {', '.join(history)}: the filters start at rest on the first row of the temperatures;"
+            " begin the table in a machine that has rested, or hours before the moments wanted"
+        )
     lines += [f"  largest |{name[:-3]}|: {value:.1f} µm" for name, value in largest.items() if value is not None]
     if outside:
         lines.append(f"  {_rows(outside)} outside what the model was trained on (in_domain = 0): no result to rely on.")
@@ -169,6 +189,7 @@ def _outcome(
         "breaches": [vars(breach) for breach in prediction.breaches],
         "missing_temperature": missing,
         "unpredicted": unpredicted,
+        "heat_history": history,
         "largest": largest,
         "sign": model.sign,
         "failed_checks": list(model.failed_checks),

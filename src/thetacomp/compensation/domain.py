@@ -13,6 +13,7 @@ from thetacomp.campaign import Floats
 from thetacomp.compensation.law import CONFIDENCE, Law
 from thetacomp.compensation.student import t_quantile
 from thetacomp.models.document import LinearTerm, Training
+from thetacomp.models.history_law import HistoryLaw
 
 MARGIN_OF_SPAN = 0.05
 MARGIN_MM = 1.0
@@ -24,11 +25,12 @@ Box = Mapping[str, tuple[float, float]]
 class Limit:
     """One quantity of a law beside what it was trained on: a temperature (°C), its rise (K) or a position (mm).
 
+    A law on heat history has a distance from training instead of temperatures and rises; it is 1 at the border.
     `name` is the sensor or the axis; `value` and `inside` are (n,), `inside` with the margin; a missing value is
     outside.
     """
 
-    kind: Literal["temperature", "rise", "position"]
+    kind: Literal["temperature", "rise", "position", "distance"]
     name: str
     value: Floats
     trained: tuple[float, float]
@@ -60,8 +62,17 @@ def limits(law: Law, training: Training, temperature_degC: Floats, position_mm: 
             out.append(Limit("rise", sensor, value, trained, _within(value, trained)))
     lowest, highest = law.component.p_min_mm, law.component.p_max_mm
     if lowest is not None and highest is not None:
-        inside = (position_mm >= lowest - MARGIN_MM) & (position_mm <= highest + MARGIN_MM)
-        out.append(Limit("position", law.component.axis or "", position_mm, (lowest, highest), inside))
+        out.append(_travel(law.component.axis or "", position_mm, lowest, highest))
+    return tuple(out)
+
+
+def history_limits(law: HistoryLaw, position_mm: Floats) -> tuple[Limit, ...]:
+    """The limits of a law on heat history at n positions."""
+    axis = law.axis
+    distance = np.where(np.isfinite(law.distance), law.distance, np.nan)
+    out = [Limit("distance", axis.axis or "drift", distance, (0.0, 1.0), distance <= 1.0)]
+    if axis.p_min_mm is not None and axis.p_max_mm is not None:
+        out.append(_travel(axis.axis or "", position_mm, axis.p_min_mm, axis.p_max_mm))
     return tuple(out)
 
 
@@ -97,6 +108,11 @@ def largest(law: Law, term: LinearTerm, box_degC: Box) -> float:
         bound = quantile * float(np.sqrt(max(variance, 0.0))) if np.isfinite(quantile) else 0.0
         out = max(out, abs(constant + float(coefficients @ rises_K)) + bound)
     return out
+
+
+def _travel(axis: str, position_mm: Floats, lowest: float, highest: float) -> Limit:
+    inside = (position_mm >= lowest - MARGIN_MM) & (position_mm <= highest + MARGIN_MM)
+    return Limit("position", axis, position_mm, (lowest, highest), inside)
 
 
 def _within(value: Floats, limits: tuple[float, float]) -> NDArray[np.bool_]:

@@ -1,6 +1,6 @@
 """The band around a prediction: its half width from the inputs of this moment. Numpy only.
 
-`half width = quantile × √(base² + growth² g(h))` with h the leverage of the inputs (see `reach`) and
+`half width = quantile × √(base² + growth² g(h))` with h the leverage of the inputs (see `Reach.leverage`) and
 `g = h / (h + knee) × (1 + h / far)`. Near the reference h is small and the band is `quantile × base`. Past the knee g
 stays near 1, since inside the training campaigns the error no longer grows with the leverage. Past `far`, the
 largest held-out leverage, g grows with h: nothing is known there, and the band widens in proportion to the distance.
@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from thetacomp.campaign import Floats
-from thetacomp.models.reach import Reach
 
 
 @dataclass(frozen=True)
@@ -39,25 +38,22 @@ class Scale:
 class Band:
     """A conformal band of one error component, in µm.
 
-    `level` is what the band reaches in campaigns like those of calibration, `wanted_level` what was asked for,
-    `guaranteed_level` what it reaches in the worst case, and `attainable_level` the highest level that `campaigns`
-    calibration campaigns can guarantee, m / (m + 1). `quantile` is the factor on the scale. `sentence` says the level
-    in words.
+    `level` is what was asked for. `guaranteed_level` is what it reaches in the worst case, and `attainable_level` the
+    highest level that `campaigns` calibration campaigns can guarantee, m / (m + 1). `quantile` is the factor on the
+    scale. `sentence` says in words what holds, and on which assumption.
     """
 
-    wanted_level: float
     level: float
     guaranteed_level: float
     attainable_level: float
     campaigns: int
     quantile: float
     scale: Scale
-    reach: Reach
     sentence: str
 
-    def half_width_um(self, inputs: Floats) -> Floats:
-        """Half width (n,) of the band at inputs (n, k), which count from the reference as the model's do."""
-        return self.quantile * self.scale.at(self.reach.leverage(inputs))
+    def half_width_um(self, leverage: Floats) -> Floats:
+        """Half width (n,) of the band at inputs of these leverages (n,)."""
+        return self.quantile * self.scale.at(leverage)
 
     def to_dict(self) -> dict[str, Any]:
         """The band as JSON-able numbers."""
@@ -66,4 +62,4 @@ class Band:
     @classmethod
     def from_dict(cls, raw: Mapping[str, Any]) -> Band:
         """The inverse of `to_dict`."""
-        return cls(**{**raw, "scale": Scale(**raw["scale"]), "reach": Reach.from_dict(raw["reach"])})
+        return cls(**{**raw, "scale": Scale(**raw["scale"])})

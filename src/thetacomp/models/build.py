@@ -10,10 +10,10 @@ import numpy as np
 from thetacomp import __version__
 from thetacomp.campaign import MachineFolder
 from thetacomp.models.axis_model import AxisModel
-from thetacomp.models.document import Component, Fallback, LinearTerm, ModelDocument, Reference, Training
+from thetacomp.models.document import Component, Fallback, HistoryAxis, LinearTerm, ModelDocument, Reference, Training
 from thetacomp.models.fallbacks import AxisFallback
 from thetacomp.models.linear import ThermalRegression
-from thetacomp.states import AxisStates
+from thetacomp.states import DRIFT, AxisStates
 
 
 def build_document(
@@ -23,6 +23,7 @@ def build_document(
     train: Sequence[str],
     notes: Sequence[str] = (),
     fallbacks: Sequence[AxisFallback] = (),
+    history: Sequence[HistoryAxis] = (),
 ) -> ModelDocument:
     """The document of all axes. The stored reference is that of the first training campaign of each axis."""
     campaigns = [folder.campaign(name) for name in train]
@@ -58,6 +59,7 @@ def build_document(
         ),
         notes=tuple(notes),
         fallbacks=_fallbacks(fallbacks),
+        history={axis.axis or DRIFT: axis for axis in history},
     )
 
 

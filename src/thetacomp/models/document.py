@@ -10,6 +10,10 @@ from pydantic import Field, ValidationError
 
 from thetacomp.errors import ModelFileError
 from thetacomp.machine import Axis, Strict
+from thetacomp.models.band import Band
+from thetacomp.models.reach import Reach
+from thetacomp.models.validity import Validity
+from thetacomp.temperature.history import HistoryLayout
 
 FORMAT = 1
 
@@ -84,6 +88,63 @@ class Fallback(Strict):
     accuracy: dict[str, Accuracy]
 
 
+class HistoryReference(Strict):
+    """The moment at which the error counts as zero: all inputs of the layout there, filters and all."""
+
+    campaign: str
+    t_s: float
+    inputs: tuple[float, ...]
+
+
+class HistoryComponent(Strict):
+    """One error component on heat history: `E = Σ (intercept_j + slope_j (p - p0_mm) / 1000) (x_j - x_j,reference)`.
+
+    One coefficient an input of the layout: `intercept_um` in µm, `slope_um_per_m` in µm/m per unit of the input
+    (None for drift). `prior_*` is the law on the plain rises of the layout's sensors that takes over where the model
+    is outside its border, per K. `band` is the 95 % band of E. `residual_um` and `held_out_um` as in Component.
+    """
+
+    direction: Literal["X", "Y", "Z"]
+    intercept_um: tuple[float, ...]
+    slope_um_per_m: tuple[float, ...] | None
+    prior_intercept_um_per_K: tuple[float, ...]
+    prior_slope_um_per_m_per_K: tuple[float, ...] | None
+    band: Band
+    residual_um: tuple[float, float]
+    held_out_um: tuple[float, float, float] | None = None
+
+
+class HistoryFallback(Strict):
+    """The model of an axis for the day on which the sensor `lost` is lost, with its accuracy by component."""
+
+    lost: str
+    accuracy: dict[str, Accuracy]
+    axis: HistoryAxis
+
+
+class HistoryAxis(Strict):
+    """The model of one moving axis on heat history (`axis` None: drift at a fixed position).
+
+    `layout` says what the inputs are and in which order; its first inputs are the temperatures themselves. `reach`
+    measures how far inputs (from the reference) lie from training, for the bands; `validity` is the border in those
+    inputs and, behind them, the absolute temperatures. `candidates` counts the block models that were compared inside
+    the training campaigns.
+    """
+
+    axis: str | None
+    p0_mm: float | None
+    p_min_mm: float | None
+    p_max_mm: float | None
+    layout: HistoryLayout
+    reference: HistoryReference
+    reach: Reach
+    validity: Validity
+    components: dict[str, HistoryComponent]
+    campaigns: int
+    candidates: int
+    fallbacks: tuple[HistoryFallback, ...] = ()
+
+
 class Training(Strict):
     """What the model was trained on. `range_degC` is the span of each input, `range_rise_K` that of its rise."""
 
@@ -98,7 +159,10 @@ class Training(Strict):
 class ModelDocument(Strict):
     """A thermal model as it is stored, read and exported. Units are in the names; see docs/nomenclature.md.
 
-    `failed_checks` names the acceptance checks that the model failed: whoever uses it must see them.
+    `components` are the laws on a few key temperatures, which any control can carry. `history` holds, by axis ("" for
+    drift), the models on heat history; where an axis has one, it is what a prediction uses. `failed_checks` names the
+    acceptance checks that the model in use failed, `failed_static_checks` those that `components` failed, where these
+    are not what is in use: whoever uses one of them must see its own.
     """
 
     kind: Literal["thetacomp model"] = "thetacomp model"
@@ -114,14 +178,27 @@ class ModelDocument(Strict):
     failed_checks: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     fallbacks: tuple[Fallback, ...] = ()
+    history: dict[str, HistoryAxis] = Field(default_factory=dict)
+    failed_static_checks: tuple[str, ...] = ()
 
     def to_json(self) -> str:
-        """The document as indented JSON text, non-ASCII letters kept readable."""
-        return json.dumps(self.model_dump(mode="json"), indent=2, ensure_ascii=False) + "\n"
+        """The document as indented JSON text, rows of numbers on one line, non-ASCII letters kept readable."""
+        return _indented(self.model_dump(mode="json")) + "\n"
 
     def save(self, path: Path) -> None:
         """Write the document as UTF-8 JSON."""
         path.write_text(self.to_json(), encoding="utf-8")
+
+
+def _indented(value: object, indent: str = "") -> str:
+    """JSON with one line an entry; a list of plain values stays on one line."""
+    inner = indent + "  "
+    if isinstance(value, dict) and value:
+        entries = [f"{inner}{json.dumps(key, ensure_ascii=False)}: {_indented(v, inner)}" for key, v in value.items()]
+        return "{\n" + ",\n".join(entries) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
+        return "[\n" + ",\n".join(inner + _indented(item, inner) for item in value) + f"\n{indent}]"
+    return json.dumps(value, ensure_ascii=False)
 
 
 def load_model(path: Path) -> ModelDocument:

@@ -53,6 +53,7 @@ def states_without(states: AxisStates, sensor: str) -> AxisStates:
         rise_K=np.delete(states.rise_K, column, axis=1),
         reference_degC=np.delete(states.reference_degC, column, axis=1),
         history=np.empty((len(states), 0)),
+        reference_history=np.empty((len(states), 0)),
         layout=None,
         samples=tuple(
             replace(

@@ -10,6 +10,7 @@ from thetacomp.campaign import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.models.ridge import HistoryRidge, history_candidates
 from thetacomp.states import AxisStates, Samples
+from thetacomp.temperature.history import HistoryLayout
 
 MIN_CAMPAIGNS = 2
 
@@ -20,6 +21,7 @@ class HistoryModel:
 
     axis: str
     components: tuple[str, ...]
+    layout: HistoryLayout
     ridge: HistoryRidge
 
     def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
@@ -44,4 +46,4 @@ def history_procedure(states: AxisStates) -> HistoryModel:
     targets = states.intercept_um if states.is_drift else np.hstack([states.intercept_um, states.slope_um_per_m])
     ridge = HistoryRidge(states.layout.blocks, history_candidates(states.layout))
     ridge.fit(states.history, targets, states.campaign)
-    return HistoryModel(states.axis, states.components, ridge)
+    return HistoryModel(states.axis, states.components, states.layout, ridge)

@@ -1,4 +1,4 @@
-"""The two ways to a model: ours by default, and the paper's. Each is repeated whole inside every fold."""
+"""The two ways to a law on key temperatures: ours, and the paper's. Each is repeated whole inside every fold."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from thetacomp.models.axis_model import AxisModel, Procedure, fit_axis
 from thetacomp.states import AxisStates
 
 
-def default_procedure(machine: Machine) -> Procedure:
+def key_point_procedure(machine: Machine) -> Procedure:
     """Key points weighted by their µm over the travel, as few as the hold-out error asks for, then least squares."""
 
     def procedure(states: AxisStates) -> AxisModel:

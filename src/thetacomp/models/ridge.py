@@ -156,7 +156,9 @@ class HistoryRidge(Regressor):
     X (n, inputs) are differences from the reference row, y (n,) or (n, targets) errors in µm.
 
     After fit: `coef_` (inputs,) or (targets, inputs) in µm per unit of input; `weights_`, `strengths_` and
-    `held_out_rmse_um_` (targets, candidates) of every candidate inside the training campaigns.
+    `held_out_rmse_um_` (targets, candidates) of every candidate inside the training campaigns. `left_out_coef_` has a
+    row more in front, one for each of `groups_`: the same average made without that group. Only weights and strengths
+    have seen it, so residuals against it calibrate a band.
     """
 
     def __init__(
@@ -178,31 +180,36 @@ class HistoryRidge(Regressor):
         x, target, labels = self._checked(X, y, groups)
         moments = CampaignMoments.of(x, target, labels)
         campaigns = list(range(len(moments.n)))
-        columns = [self._columns(candidate) for candidate in self.candidates]
+        rests = [[c for c in campaigns if c != held_out] for held_out in campaigns]
+        spreads, spread = [moments.spread(rest) for rest in rests], moments.spread(campaigns)
         strengths = np.asarray(self.strengths)
-        errors = np.zeros((len(self.candidates), target.shape[1], len(strengths)))
-        for held_out in campaigns:
-            rest = [c for c in campaigns if c != held_out]
-            spread = moments.spread(rest)
-            for i, candidate in enumerate(self.candidates):
-                path = ridge_path(moments, rest, columns[i], self._width(candidate, spread), strengths)
-                errors[i] += moments.square_error(held_out, columns[i], path)
-        mse = errors / moments.n.sum()
-        best = mse.argmin(axis=2)
-        least = np.take_along_axis(mse, best[:, :, None], axis=2)[:, :, 0].T
-        weights = (least / np.maximum(least.min(axis=1, keepdims=True), 1e-12) + 1e-12) ** -_WEIGHT_POWER
-        weights /= weights.sum(axis=1, keepdims=True)
-        coef = np.zeros((target.shape[1], x.shape[1]))
-        spread = moments.spread(campaigns)
+        size = np.maximum(moments.yy.sum(axis=0) / moments.n.sum(), 1e-12)
+        m, k = target.shape[1], x.shape[1]
+        mse, chosen = np.empty((m, len(self.candidates))), np.empty((m, len(self.candidates)), dtype=np.intp)
+        weights, coef, left_out = np.empty_like(mse), np.zeros((m, k)), np.zeros((len(campaigns), m, k))
         for i, candidate in enumerate(self.candidates):
-            path = ridge_path(moments, campaigns, columns[i], self._width(candidate, spread), strengths)
-            chosen = np.take_along_axis(path, best[i][None, :, None], axis=2)[:, :, 0]
-            coef[:, columns[i]] += weights[:, i, None] * chosen.T
+            columns = self._columns(candidate)
+            paths = [
+                ridge_path(moments, rest, columns, self._width(candidate, own), strengths)
+                for rest, own in zip(rests, spreads, strict=True)
+            ]
+            error = sum(moments.square_error(c, columns, path) for c, path in enumerate(paths)) / moments.n.sum()
+            chosen[:, i] = best = np.argmin(error, axis=1)
+            mse[:, i] = error[np.arange(m), best]
+            weights[:, i] = (mse[:, i] / size + 1e-12) ** -_WEIGHT_POWER
+            whole = ridge_path(moments, campaigns, columns, self._width(candidate, spread), strengths)
+            coef[:, columns] += weights[:, i, None] * whole[:, np.arange(m), best].T
+            for c, path in enumerate(paths):
+                left_out[c][:, columns] += weights[:, i, None] * path[:, np.arange(m), best].T
+        total = weights.sum(axis=1, keepdims=True)
+        coef, left_out = coef / total, left_out / total
         self.coef_ = coef if np.ndim(y) == 2 else coef[0]
-        self.weights_ = weights
-        self.strengths_ = strengths[best.T]
-        self.held_out_rmse_um_ = np.sqrt(least)
-        self.n_features_in_ = x.shape[1]
+        self.left_out_coef_ = left_out if np.ndim(y) == 2 else left_out[:, 0]
+        self.groups_ = np.unique(labels)
+        self.weights_ = weights / total
+        self.strengths_ = strengths[chosen]
+        self.held_out_rmse_um_ = np.sqrt(mse)
+        self.n_features_in_ = k
         return self
 
     def predict(self, X: ArrayLike) -> Floats:

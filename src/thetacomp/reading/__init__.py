@@ -3,7 +3,7 @@
 from thetacomp.reading.correlations import read_correlations
 from thetacomp.reading.folder import check_folder, read_folder, read_machine
 from thetacomp.reading.frames import campaign_from_frames
-from thetacomp.reading.lone import Positions, read_positions, read_temperatures
+from thetacomp.reading.lone import Positions, read_duty, read_positions, read_temperatures
 from thetacomp.reading.summary import CampaignSummary, FolderSummary, summarize
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "campaign_from_frames",
     "check_folder",
     "read_correlations",
+    "read_duty",
     "read_folder",
     "read_machine",
     "read_positions",

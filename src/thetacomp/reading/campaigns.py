@@ -53,13 +53,13 @@ def build(
     sweeps = _sweeps(tables["sweeps"], start_micros, machine, found) if "sweeps" in tables else None
     drift = _drift(tables["drift"], start_micros, machine, found) if "drift" in tables else None
     lines = _parameters(tables["parameters"], start_micros, machine, found) if "parameters" in tables else None
-    duty = _duty(tables["duty"], start_micros, found) if "duty" in tables else None
+    work = duty(tables["duty"], start_micros, found) if "duty" in tables else None
     if heat is not None and one_clock and not found.has("time-backward"):
         _together(place, settings, tables, start_micros, heat, found, unread)
     problems.extend(found)
     if found.has_errors or heat is None:
         return None
-    return Campaign(name, settings, heat, sweeps, drift, lines, duty, start)
+    return Campaign(name, settings, heat, sweeps, drift, lines, work, start)
 
 
 def _common_start(place: str, tables: Mapping[str, Table], problems: ProblemList) -> tuple[int, datetime | None]:
@@ -222,7 +222,8 @@ def _drift(table: Table, start_micros: int, machine: Machine, problems: ProblemL
     return Drift(t_s, table.stacked(ERRORS), _rotations(table), _at_mm(table, machine, problems))
 
 
-def _duty(table: Table, start_micros: int, problems: ProblemList) -> Duty:
+def duty(table: Table, start_micros: int, problems: ProblemList) -> Duty:
+    """The duty table: every column is what the machine did, under its own name."""
     t_s = table.t_s(start_micros)
     checks.time_order(table, t_s, problems)
     return Duty(t_s, dict(table.numbers))

@@ -59,6 +59,7 @@ TIME = {
     "time": Meaning("t_s", "clock"),
 }
 _TIME_REQUIRED = tuple(TIME)
+DUTY = Schema(TIME, (_TIME_REQUIRED,), free=True)
 ERRORS = ("dX_um", "dY_um", "dZ_um")
 ROTATIONS = ("rA_urad", "rB_urad", "rC_urad")
 
@@ -96,7 +97,7 @@ def schema(table: str, machine: Machine) -> Schema:
         known |= {name: Meaning(name) for name in ("slope_um_per_m", "p0_mm", "p_min_mm", "p_max_mm")}
         single = (("component",), ("slope_um_per_m",), ("p0_mm",), ("p_min_mm",), ("p_max_mm",))
         return Schema(known, (_TIME_REQUIRED, ("intercept_um", "intercept_mm"), *single))
-    return Schema(TIME, (_TIME_REQUIRED,), free=True)
+    return DUTY
 
 
 def temperature_schema(machine: Machine) -> Schema:

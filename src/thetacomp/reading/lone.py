@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Temperatures
+from thetacomp.campaign import Duty, Floats, Temperatures
 from thetacomp.reading import campaigns
-from thetacomp.reading.columns import ANY_SENSORS, POSITIONS, Meaning, Schema, match
+from thetacomp.reading.columns import ANY_SENSORS, DUTY, POSITIONS, Meaning, Schema, match
 from thetacomp.reading.problems import ProblemList, UnreadableError
 from thetacomp.reading.sources import Source, read_source
 from thetacomp.reading.tables import Table, convert
@@ -39,6 +39,19 @@ def read_temperatures(path: Path) -> Temperatures:
     problems = ProblemList()
     table = _table(Path(path), "temperatures", lambda source: ANY_SENSORS, problems)
     data = campaigns.temperatures(table, 0, None, problems) if table is not None else None
+    problems.raise_errors()
+    assert data is not None
+    return data
+
+
+def read_duty(path: Path) -> Duty:
+    """Read a duty table (`spindle_rpm`, `feed_mm_min`, …). Raises InputError.
+
+    Absolute times (`time`) count in seconds from 1970-01-01, so that they agree with those of `read_temperatures`.
+    """
+    problems = ProblemList()
+    table = _table(Path(path), "duty", lambda source: DUTY, problems)
+    data = campaigns.duty(table, 0, problems) if table is not None else None
     problems.raise_errors()
     assert data is not None
     return data

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thetacomp.campaign import Campaign, Duty, Floats, Temperatures
+from thetacomp.errors import AnalysisError
 from thetacomp.temperature.history import HistoryLayout, history_inputs
 
 SPEED = "spindle_rpm"
@@ -55,15 +56,28 @@ def history_layout(campaigns: Sequence[Campaign]) -> HistoryLayout | None:
     )
 
 
+def recorded_inputs(layout: HistoryLayout, parts: Sequence[tuple[Temperatures, Duty | None]]) -> tuple[Floats, Floats]:
+    """Times (n,) and inputs (n, k) of an unbroken recording in one or more parts, with filters at rest at its start.
+
+    Raises AnalysisError where the layout has speeds and no part has a duty table.
+    """
+    if layout.speed_powers and all(duty is None or SPEED not in duty.columns for _, duty in parts):
+        raise AnalysisError(
+            f"this model needs the spindle speed, and there is no {SPEED}."
+            " Fix: give a duty table with t_s and spindle_rpm."
+        )
+    t_s = np.concatenate([table.t_s for table, _ in parts])
+    degC = np.vstack([_of_sensors(table, layout.sensors) for table, _ in parts])
+    speed_rpm = np.concatenate([_speed_rpm(duty, table.t_s) for table, duty in parts]) if layout.speed_powers else None
+    return t_s, history_inputs(layout, t_s, degC, speed_rpm)
+
+
 def history_track(campaign: Campaign, layout: HistoryLayout, zero_t_s: Floats) -> HistoryTrack:
     """Run the filters over a campaign; at rest on its first sample or on that of what came before."""
     parts = [(campaign.temperatures, campaign.duty)]
     if campaign.before is not None:
         parts.insert(0, (campaign.before.temperatures, campaign.before.duty))
-    t_s = np.concatenate([table.t_s for table, _ in parts])
-    degC = np.vstack([_of_sensors(table, layout.sensors) for table, _ in parts])
-    speed_rpm = np.concatenate([_speed_rpm(duty, table.t_s) for table, duty in parts]) if layout.speed_powers else None
-    inputs = history_inputs(layout, t_s, degC, speed_rpm)
+    t_s, inputs = recorded_inputs(layout, parts)
     own = t_s >= campaign.temperatures.t_s[0]
     track = HistoryTrack(t_s[own], inputs[own], np.zeros(inputs.shape[1]))
     return replace(track, reference=track.absolute(zero_t_s).mean(axis=0))
@@ -71,7 +85,7 @@ def history_track(campaign: Campaign, layout: HistoryLayout, zero_t_s: Floats) -
 
 def _speed_rpm(duty: Duty | None, t_s: Floats) -> Floats:
     """Spindle speed at the times of the temperatures: it holds until the next entry of the duty table."""
-    if duty is None:
+    if duty is None or SPEED not in duty.columns:
         return np.zeros(len(t_s))
     rows = np.clip(np.searchsorted(duty.t_s, t_s, side="right") - 1, 0, None)
     return np.nan_to_num(duty.columns[SPEED][rows])

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from thetacomp.models.document import ModelDocument
+from thetacomp.models.document import Component, ModelDocument
 from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS, NOTHING, Residuals
+
+DEFAULT = "default"
+KEY_POINTS = "key_points"
 
 MAX_RESIDUAL_RATIO = 0.5
 # At 1.0 a model is as good as a clock, which proves nothing about the thermometer: it must be clearly better.
@@ -47,6 +51,8 @@ def acceptance_checks(
         )
     checks += _no_harm(rows)
     for test in permutations:
+        if test.axis in model.history:
+            continue
         label = f"axis {test.axis}" if test.axis else "drift"
         checks.append(
             _at_most(
@@ -63,13 +69,32 @@ def acceptance_checks(
     return tuple(checks)
 
 
+def acceptance_of_static_law(
+    residuals: Sequence[Residuals],
+    rows: Sequence[ValidationRow],
+    permutations: Sequence[PermutationTest],
+    model: ModelDocument,
+) -> tuple[AcceptanceCheck, ...]:
+    """The same checks for `model.components`: the law on key temperatures, which a control carries."""
+    replaced = {r.component for r in residuals if r.model == KEY_POINTS}
+    replaced |= {row.component for row in rows if row.model == KEY_POINTS}
+    kept_residuals = [r for r in residuals if not (r.model == DEFAULT and r.component in replaced)]
+    kept_rows = [r for r in rows if not (r.model == DEFAULT and r.component in replaced)]
+    return acceptance_checks(
+        [replace(r, model=DEFAULT) if r.model == KEY_POINTS else r for r in kept_residuals],
+        [replace(r, model=DEFAULT) if r.model == KEY_POINTS else r for r in kept_rows],
+        permutations,
+        model.model_copy(update={"history": {}}),
+    )
+
+
 def in_words(check: AcceptanceCheck) -> str:
     """A check as one line: name, what was found, what is required."""
     return f"{check.name}: {check.statistic:.3g} (must be {check.operator} {check.threshold:g})"
 
 
 def _reductions(label: str, own: Sequence[Residuals]) -> list[AcceptanceCheck]:
-    before, after, clock = (_rms(own, name) for name in (NOTHING, "default", "clock"))
+    before, after, clock = (_rms(own, name) for name in (NOTHING, DEFAULT, "clock"))
     return [
         _at_most(
             f"{label}: residual RMS / uncompensated RMS, held out",
@@ -98,7 +123,7 @@ def _rms(residuals: Sequence[Residuals], model: str) -> float:
 
 def _no_harm(rows: Sequence[ValidationRow]) -> list[AcceptanceCheck]:
     """The component and campaign that loses most, against the largest error of the machine."""
-    own = [row for row in rows if row.model == "default" and row.campaign != ALL_CAMPAIGNS]
+    own = [row for row in rows if row.model == DEFAULT and row.campaign != ALL_CAMPAIGNS]
     largest = max((row.rms_before_um for row in own), default=0.0)
     if not largest > 0:
         return []
@@ -116,9 +141,9 @@ def _no_harm(rows: Sequence[ValidationRow]) -> list[AcceptanceCheck]:
 
 def _never_tested(residuals: Sequence[Residuals], model: ModelDocument) -> list[AcceptanceCheck]:
     """Components of the model that no held-out data judged, and axes for which no sensor was found."""
-    tested = {r.component for r in residuals if r.model == "default" and len(r.after_um)}
+    tested = {r.component for r in residuals if r.model == DEFAULT and len(r.after_um)}
     untested = [name for name in model.components if name not in tested]
-    dumb = [name for name, component in model.components.items() if not component.inputs]
+    dumb = [name for name, component in _static(model).items() if not component.inputs]
     return [
         _at_most(
             "components of the model without held-out data",
@@ -135,8 +160,13 @@ def _never_tested(residuals: Sequence[Residuals], model: ModelDocument) -> list[
     ]
 
 
+def _static(model: ModelDocument) -> dict[str, Component]:
+    """Components whose law on key temperatures is what is in use."""
+    return {name: c for name, c in model.components.items() if (c.axis or "") not in model.history}
+
+
 def _from_model(model: ModelDocument) -> list[AcceptanceCheck]:
-    with_inputs = [c for c in model.components.values() if c.inputs]
+    with_inputs = [c for c in _static(model).values() if c.inputs]
     checks = []
     if with_inputs:
         checks.append(
@@ -161,7 +191,7 @@ def _from_model(model: ModelDocument) -> list[AcceptanceCheck]:
 
 def _coverage(rows: Sequence[ValidationRow]) -> list[AcceptanceCheck]:
     """The component whose 95 % interval holds the fewest held-out points: a pooled figure would hide it."""
-    stated = [row for row in rows if row.model == "default" and np.isfinite(row.coverage_percent)]
+    stated = [row for row in rows if row.model == DEFAULT and np.isfinite(row.coverage_percent)]
     pooled = [row for row in stated if row.campaign == ALL_CAMPAIGNS] or stated
     if not pooled:
         return []

@@ -17,7 +17,7 @@ real rows it makes the band too wide: with m = 40 it takes the pooled quantile a
 smallest quantile that holds the level when every campaign is judged by the others (`crossed_quantile`), and says
 beside it which level is guaranteed in the worst case.
 
-Where every campaign is needed for the fit, the residuals come from models that left out the campaign (or its fold).
+Where every campaign is needed for the fit, the residuals come from models that left out the campaign.
 The band then stands around the model of all campaigns, which is the jackknife form. Its coverage is near 1 - α for a
 model that changes little when one campaign leaves, and it has no proof without that; the jackknife+ and CV+ of Barber,
 Candès, Ramdas and Tibshirani (Annals of Statistics 49, 2021) prove 1 - 2α, and ask for every fold's model on the
@@ -27,14 +27,14 @@ machine.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.campaign import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.models.band import Band, Scale
 from thetacomp.models.reach import Reach
@@ -46,9 +46,6 @@ _TRIES = 41
 _GROWTH_RATIOS = tuple(float(ratio) for ratio in np.geomspace(0.1, 1e3, 21))
 # where the growth bends, as shares of the held-out rows that lie nearer to the reference
 _KNEES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-
-Fit = Callable[[Ints], Callable[[Floats], Floats]]
-"""The whole procedure: training rows in, a function from inputs (n, k) to errors (n,) in µm out."""
 
 
 @dataclass(frozen=True)
@@ -138,33 +135,30 @@ def _pooled_quantile(scores: Floats, weights: Floats, level: float | Floats) -> 
     return scores[order][np.minimum(np.searchsorted(mass, np.asarray(level) - 1e-12), len(order) - 1)]
 
 
-def held_out(fit: Fit, inputs: Floats, error_um: Floats, campaign: NDArray[Any], folds: int | None = None) -> HeldOut:
-    """Residuals and leverages of every row by models that did not see its campaign.
+def held_out_leverage(inputs: Floats, campaign: NDArray[Any]) -> Floats:
+    """Leverage (n,) of every row of inputs (n, k), seen from the other campaigns.
 
-    `folds` groups of campaigns leave in turn, each campaign on its own by default. `inputs` (n, k), `error_um` (n,).
     Raises AnalysisError for fewer than 2 campaigns.
     """
-    labels, index = np.unique(campaign, return_inverse=True)
+    labels = np.unique(campaign)
     if len(labels) < 2:
         raise AnalysisError(
             f"{len(labels)} campaign: a band needs at least 2, one to fit and one to be held out."
             " Fix: measure one more campaign."
         )
-    fold_of = np.arange(len(labels)) % (len(labels) if folds is None else min(folds, len(labels)))
-    residual_um, leverage = np.empty(len(error_um)), np.empty(len(error_um))
-    for fold in np.unique(fold_of):
-        test = fold_of[index] == fold
-        train = np.flatnonzero(~test)
-        residual_um[test] = error_um[test] - fit(train)(inputs[test])
-        leverage[test] = training_reach(inputs[train], campaign[train]).leverage(inputs[test])
-    return HeldOut(residual_um, leverage, campaign)
+    leverage = np.empty(len(inputs))
+    for label in labels:
+        own = campaign == label
+        leverage[own] = training_reach(inputs[~own], campaign[~own]).leverage(inputs[own])
+    return leverage
 
 
-def calibrate_band(rows: HeldOut, reach: Reach, level: float = LEVEL) -> Band:
-    """The band from held-out rows; `reach` is that of the model the band will stand around.
+def calibrate_band(rows: HeldOut, level: float = LEVEL) -> Band:
+    """The band from held-out rows.
 
-    With too few campaigns for the level the band is made for the attainable level, and its sentence says so. Rows
-    without a residual are left out. Raises AnalysisError where none is left or the level is not between 0 and 1.
+    With enough campaigns for the level its quantile is the conformal one. With fewer no quantile can be proven, and
+    the scores are taken for normal (`_normal_quantile`); the sentence says so. Rows without a residual are left out.
+    Raises AnalysisError where none is left or the level is not between 0 and 1.
     """
     if not 0.0 < level < 1.0:
         raise AnalysisError(f"the level of a band must lie between 0 and 1, found {level:g}.")
@@ -173,24 +167,37 @@ def calibrate_band(rows: HeldOut, reach: Reach, level: float = LEVEL) -> Band:
         raise AnalysisError("no held-out residual: a band cannot be calibrated. Fix: hold out complete campaigns.")
     size_um, leverage, campaign = np.abs(rows.residual_um[known]), rows.leverage[known], rows.campaign[known]
     m = len(np.unique(campaign))
-    scale = _scale(size_um, leverage, campaign_weights(campaign))
+    weights = campaign_weights(campaign)
+    scale = _scale(size_um, leverage, weights)
     scores = size_um / scale.at(leverage)
     if level <= attainable_level(m):
-        reached, quantile = level, crossed_quantile(scores, campaign, level)
+        quantile = crossed_quantile(scores, campaign, level)
     else:
-        reached, quantile = attainable_level(m), float(scores.max())
-    guaranteed = float(campaign_weights(campaign) @ (scores <= quantile)) * m / (m + 1)
+        quantile = _normal_quantile(scores, campaign, level)
+    guaranteed = float(weights @ (scores <= quantile)) * m / (m + 1)
     return Band(
-        wanted_level=level,
-        level=reached,
+        level=level,
         guaranteed_level=guaranteed,
         attainable_level=attainable_level(m),
         campaigns=m,
         quantile=quantile,
         scale=scale,
-        reach=reach,
         sentence=level_sentence(m, level, guaranteed),
     )
+
+
+def _normal_quantile(scores: Floats, campaign: NDArray[Any], level: float) -> float:
+    """`t(ν, level) × √v`, v the mean over m campaigns of their mean square scores v_k.
+
+    ν = 2 m v² / s² are Satterthwaite's degrees of freedom (Biometrics Bulletin 2, 1946), s² the variance of the v_k:
+    m where a campaign is wholly one error, many where each holds many independent ones. A variance from few campaigns
+    may be small by chance: two squares of what a single error would show, 2 v² each, join it.
+    """
+    squares = np.array([np.mean(scores[campaign == label] ** 2) for label in np.unique(campaign)])
+    m, v = len(squares), float(squares.mean())
+    variance = (float(np.sum((squares - v) ** 2)) + 4.0 * v**2) / (m + 1)
+    dof = 2.0 * m * v**2 / max(variance, 1e-300)
+    return float(special.stdtrit(dof, 0.5 + level / 2)) * math.sqrt(v)
 
 
 def level_sentence(campaigns: int, level: float, guaranteed: float) -> str:
@@ -202,8 +209,9 @@ def level_sentence(campaigns: int, level: float, guaranteed: float) -> str:
             f" ({guaranteed:.1%} guaranteed in the worst case)."
         )
     return (
-        f"{counted} allow a band of at most {attainable_level(campaigns):.1%}, which is what this band is;"
-        f" {level:.0%} needs {campaigns_needed(level)} campaigns."
+        f"The band is made for {level:.0%} on the assumption that the errors of campaigns are normal: {counted} can"
+        f" guarantee no more than {attainable_level(campaigns):.1%}, {level:.0%} needs"
+        f" {campaigns_needed(level)} campaigns."
     )
 
 

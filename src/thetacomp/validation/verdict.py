@@ -5,26 +5,50 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thetacomp.models.document import ModelDocument
+from thetacomp.validation.acceptance import DEFAULT, KEY_POINTS
 from thetacomp.validation.result import ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS
 
 
 def with_verdict(
-    model: ModelDocument, rows: Sequence[ValidationRow], failed_checks: Sequence[str], notes: Sequence[str]
+    model: ModelDocument,
+    rows: Sequence[ValidationRow],
+    failed_checks: Sequence[str],
+    failed_static_checks: Sequence[str],
+    notes: Sequence[str],
 ) -> ModelDocument:
     """The document with what validation found: held-out figures of every component, and the checks that failed."""
     components = {
-        name: component.model_copy(update={"held_out_um": _held_out(rows, name)})
-        for name, component in model.components.items()
+        name: c.model_copy(
+            update={"held_out_um": _held_out(rows, name, KEY_POINTS if (c.axis or "") in model.history else DEFAULT)}
+        )
+        for name, c in model.components.items()
+    }
+    history = {
+        axis: item.model_copy(
+            update={
+                "components": {
+                    name: c.model_copy(update={"held_out_um": _held_out(rows, name, DEFAULT)})
+                    for name, c in item.components.items()
+                }
+            }
+        )
+        for axis, item in model.history.items()
     }
     return model.model_copy(
-        update={"components": components, "failed_checks": tuple(failed_checks), "notes": tuple(notes)}
+        update={
+            "components": components,
+            "history": history,
+            "failed_checks": tuple(failed_checks),
+            "failed_static_checks": tuple(failed_static_checks),
+            "notes": tuple(notes),
+        }
     )
 
 
-def _held_out(rows: Sequence[ValidationRow], component: str) -> tuple[float, float, float] | None:
-    """RMS, 95th percentile and maximum of what the default model leaves: over all campaigns where there are several."""
-    own = [row for row in rows if row.component == component and row.model == "default"]
+def _held_out(rows: Sequence[ValidationRow], component: str, judged: str) -> tuple[float, float, float] | None:
+    """RMS, 95th percentile and maximum of what a model leaves: over all campaigns where there are several."""
+    own = [row for row in rows if row.component == component and row.model == judged]
     if not own:
         return None
     row = next((row for row in own if row.campaign == ALL_CAMPAIGNS), own[0])

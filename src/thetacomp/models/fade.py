@@ -11,15 +11,17 @@ from thetacomp.campaign import Floats
 
 # a full fade takes at least ten minutes: slow for a machine, fast against its time constants
 FADE_PER_S = 1.0 / 600.0
+# Heat deforms a machine nearly in proportion: twice what training showed is still believed, though it is flagged.
+FADE_START = 2.0
 
 
 def model_weight(distance: Floats) -> Floats:
-    """Weight of the model (n,) at distances (n,): 1 inside, 1 / distance outside.
+    """Weight of the model (n,) at distances (n,): 1 up to FADE_START, then FADE_START / distance.
 
-    A model linear in its inputs then sees them drawn back to the border along the ray from the reference, and the
-    prior answers for the rest: what the model says stays bounded however far the inputs go.
+    A model linear in its inputs then sees them drawn back along the ray from the reference, and the prior answers for
+    the rest: what the model says stays bounded however far the inputs go.
     """
-    weight: Floats = 1.0 / np.maximum(distance, 1.0)
+    weight: Floats = FADE_START / np.maximum(distance, FADE_START)
     return weight
 
 

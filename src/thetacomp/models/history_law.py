@@ -1,0 +1,95 @@
+"""The thermal law of an axis on heat history: inputs in, intercepts, slopes, errors and their 95 % bands out.
+
+Numpy only. Inside the border of validity the model speaks alone, outside it fades towards the prior (`fade`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from thetacomp.campaign import Floats
+from thetacomp.errors import ModelFileError
+from thetacomp.models.document import HistoryAxis, HistoryComponent
+from thetacomp.models.fade import faded_um, model_weight
+
+
+@dataclass(frozen=True)
+class HistoryMoments:
+    """What a law needs to know of n moments.
+
+    `moved` (n, k) are the inputs of the layout as differences from the reference, `temperature_degC` (n, p) the
+    temperatures of its sensors.
+    """
+
+    moved: Floats
+    temperature_degC: Floats
+
+
+@dataclass(frozen=True)
+class HistoryLaw:
+    """The laws of one axis, with the work that its components share done once for n moments."""
+
+    axis: HistoryAxis
+    moments: HistoryMoments
+
+    @cached_property
+    def distance(self) -> Floats:
+        """Distance from training, (n,): up to 1 inside the border, infinite where an input is missing."""
+        return self.axis.validity.distance(np.hstack([self.moments.moved, self.moments.temperature_degC]))
+
+    @cached_property
+    def _leverage(self) -> Floats:
+        return self.axis.reach.leverage(self.moments.moved)
+
+    def line(self, component: str) -> tuple[Floats, Floats]:
+        """Intercept (µm) and slope (µm/m) of a component, (n,) each; the slope is zero for drift."""
+        own = self.axis.components[component]
+        intercept_um = self._faded(own.intercept_um, own.prior_intercept_um_per_K)
+        if own.slope_um_per_m is None or own.prior_slope_um_per_m_per_K is None:
+            return intercept_um, np.zeros(len(intercept_um))
+        return intercept_um, self._faded(own.slope_um_per_m, own.prior_slope_um_per_m_per_K)
+
+    def half_width_um(self, component: str) -> Floats:
+        """Half of the 95 % band of a component, (n,), at any position of the travel."""
+        return self.axis.components[component].band.half_width_um(self._leverage)
+
+    def _faded(self, model: tuple[float, ...], prior: tuple[float, ...]) -> Floats:
+        weight = model_weight(self.distance)
+        rise_K = self.moments.moved[:, : len(prior)]
+        return faded_um(self.moments.moved @ np.array(model), rise_K @ np.array(prior), weight)
+
+
+def check_history(name: str, axis: HistoryAxis) -> None:
+    """Raise ModelFileError where the document of an axis contradicts itself."""
+    inputs = sum(len(block) for block in axis.layout.blocks.values())
+    sensors = len(axis.layout.sensors)
+    found = []
+    if len(axis.reference.inputs) != inputs or len(axis.reach.scale) != inputs:
+        found.append(f"the layout has {inputs} inputs, the reference or the reach another number")
+    if len(axis.validity.middle) != inputs + sensors:
+        found.append(f"the border of validity is not one of {inputs + sensors} inputs")
+    if (axis.axis or "") != name:
+        found.append(f"it is the model of axis {axis.axis}")
+    for label, component in axis.components.items():
+        found += [f"{label}: {problem}" for problem in _problems(component, inputs, sensors, drift=axis.axis is None)]
+    if found:
+        told = "; ".join(found)
+        raise ModelFileError(f"model history {name or 'drift'}: {told}. Fix: run `thetacomp analyze` again.")
+
+
+def _problems(component: HistoryComponent, inputs: int, sensors: int, *, drift: bool) -> list[str]:
+    out = []
+    for what, values, size in (
+        ("intercept", component.intercept_um, inputs),
+        ("slope", component.slope_um_per_m, inputs),
+        ("prior of the intercept", component.prior_intercept_um_per_K, sensors),
+        ("prior of the slope", component.prior_slope_um_per_m_per_K, sensors),
+    ):
+        if values is not None and len(values) != size:
+            out.append(f"{what} has {len(values)} coefficients for {size} inputs")
+        if (values is None) != (drift and "slope" in what):
+            out.append(f"{what} {'missing' if values is None else 'of a drift'}")
+    return out

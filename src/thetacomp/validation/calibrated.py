@@ -1,0 +1,131 @@
+"""The heat-history model as it is stored and used: fitted, with its border, its prior and its 95 % bands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thetacomp.campaign import Floats
+from thetacomp.errors import AnalysisError
+from thetacomp.models.document import HistoryAxis, HistoryComponent, HistoryReference
+from thetacomp.models.history_law import HistoryLaw, HistoryMoments
+from thetacomp.models.history_model import HistoryModel, history_procedure
+from thetacomp.models.prior import fit_prior
+from thetacomp.separation.result import Bools
+from thetacomp.states import AxisStates, Samples
+from thetacomp.temperature.history import HistoryLayout
+from thetacomp.validation.border import calibrate_validity
+from thetacomp.validation.conformal import HeldOut, calibrate_band, held_out_leverage, training_reach
+
+
+@dataclass(frozen=True)
+class CalibratedHistory:
+    """The stored form of a heat-history model as a Predictor: what validation judges is what the machine gets."""
+
+    document: HistoryAxis
+
+    def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
+        """Thermal error of samples in µm and the half width of its 95 % band, both (n,)."""
+        law = HistoryLaw(self.document, _moments(self.document.layout, states, samples))
+        intercept_um, slope_um_per_m = law.line(component)
+        return intercept_um + slope_um_per_m * samples.lever_m, law.half_width_um(component)
+
+
+def calibrated_history(states: AxisStates) -> CalibratedHistory:
+    """Fit, and calibrate border, prior and bands on the same training campaigns, each held out in turn.
+
+    Raises AnalysisError as `history_procedure` does, and where the states carry no samples to calibrate on.
+    """
+    model = history_procedure(states)
+    layout = model.layout
+    known = np.isfinite(states.history).all(axis=1)
+    moved, campaign = states.history[known], states.campaign[known]
+    temperature_degC = _sensor_columns(layout, states, states.rise_K + states.reference_degC)[known]
+    reach = training_reach(moved, campaign)
+    drift = states.is_drift
+    document = HistoryAxis(
+        axis=None if drift else states.axis,
+        p0_mm=None if drift else states.p0_mm,
+        p_min_mm=None if drift else states.p_min_mm,
+        p_max_mm=None if drift else states.p_max_mm,
+        layout=layout,
+        reference=HistoryReference(
+            campaign=states.campaigns[int(states.campaign[0])],
+            t_s=float(states.reference_s[0]),
+            inputs=_plain(states.reference_history[0]),
+        ),
+        reach=reach,
+        validity=calibrate_validity(np.hstack([moved, temperature_degC]), campaign),
+        components={},
+        campaigns=len(np.unique(campaign)),
+        candidates=len(model.ridge.candidates),
+    )
+    components = {name: _component(states, model, k, document) for k, name in enumerate(states.components)}
+    return CalibratedHistory(document.model_copy(update={"components": components}))
+
+
+def _component(states: AxisStates, model: HistoryModel, k: int, document: HistoryAxis) -> HistoryComponent:
+    name, count = states.components[k], len(states.components)
+    rise_K = states.history[:, : len(model.layout.sensors)]
+    intercept_prior = _prior(model.layout, rise_K, states.intercept_um[:, k], states)
+    slope = slope_prior = None
+    if not states.is_drift:
+        slope = _plain(model.ridge.coef_[count + k])
+        slope_prior = _prior(model.layout, rise_K, states.slope_um_per_m[:, k], states)
+    rows = _left_out(states, model, k)
+    samples = states.samples[k]
+    samples = samples.take(_complete(samples))
+    in_sample_um = samples.value_um - model.predict(name, states, samples)[0]
+    return HistoryComponent.model_validate(
+        {
+            "direction": name[1],
+            "intercept_um": _plain(model.ridge.coef_[k]),
+            "slope_um_per_m": slope,
+            "prior_intercept_um_per_K": intercept_prior,
+            "prior_slope_um_per_m_per_K": slope_prior,
+            "band": calibrate_band(rows),
+            "residual_um": (float(np.sqrt(np.mean(in_sample_um**2))), float(np.abs(in_sample_um).max())),
+        }
+    )
+
+
+def _left_out(states: AxisStates, model: HistoryModel, k: int) -> HeldOut:
+    """Samples of one component against the models that left out their campaign."""
+    samples = states.samples[k]
+    judged = _complete(samples)
+    if states.exact_zero:
+        judged = judged & ~states.cold[samples.state]
+    samples = samples.take(judged)
+    if not len(samples.value_um):
+        raise AnalysisError(f"{states.components[k]}: no sample of a heated state to calibrate a band on.")
+    campaign = states.campaign[samples.state]
+    index = np.searchsorted(model.ridge.groups_, campaign)
+    coefficients = model.ridge.left_out_coef_[index]
+    predicted_um = np.einsum("ij,ij->i", samples.history, coefficients[:, k])
+    if not states.is_drift:
+        slope = np.einsum("ij,ij->i", samples.history, coefficients[:, len(states.components) + k])
+        predicted_um = predicted_um + slope * samples.lever_m
+    leverage = held_out_leverage(samples.history, campaign)
+    return HeldOut(samples.value_um - predicted_um, leverage, campaign)
+
+
+def _prior(layout: HistoryLayout, rise_K: Floats, target: Floats, states: AxisStates) -> tuple[float, ...]:
+    return fit_prior(layout.sensors, rise_K, target, states.campaign).coefficients_um_per_K
+
+
+def _moments(layout: HistoryLayout, states: AxisStates, samples: Samples) -> HistoryMoments:
+    absolute_degC = samples.rise_K + states.reference_degC[samples.state]
+    return HistoryMoments(samples.history, _sensor_columns(layout, states, absolute_degC))
+
+
+def _sensor_columns(layout: HistoryLayout, states: AxisStates, values: Floats) -> Floats:
+    return values[:, [states.sensors.index(name) for name in layout.sensors]]
+
+
+def _complete(samples: Samples) -> Bools:
+    return np.asarray(np.isfinite(samples.history).all(axis=1))
+
+
+def _plain(values: Floats) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
