@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
-from thetacomp.cli import analyze, check, demo, export, keypoints, predict, twin
+from thetacomp.cli import analyze, check, demo, export, keypoints, predict, trial, twin
 
 app = typer.Typer(
     name="thetacomp",
@@ -40,6 +40,7 @@ app.command("analyze")(analyze.analyze)
 app.command("predict")(predict.predict)
 app.command("export")(export.export)
 app.command("twin")(twin.twin)
+app.command("trial")(trial.trial)
 
 
 if __name__ == "__main__":
