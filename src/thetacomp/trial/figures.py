@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import NullFormatter
 
 from thetacomp.campaign import CARTESIAN
 from thetacomp.report import style
@@ -50,7 +51,11 @@ def month_by_month(rows: Sequence[MonthRow]) -> style.NamedFigure:
                 )
     above.set_yscale("log")
     above.set_ylabel("95th percentile of the error (µm)")
+    above.set_yticks([2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000])
     above.yaxis.set_major_formatter("{x:g}")
+    above.yaxis.set_minor_formatter(NullFormatter())
+    sizes = [row.p95_after_um for row in rows if row.direction == TOOL]
+    above.set_ylim(0.8 * min(sizes), 1.25 * max(sizes))
     below.set_ylabel("reduction of the\n95th percentile (%)")
     below.set_xlabel("month after training (each 30 days)")
     below.set_xticks(range(1, max(row.month for row in rows) + 1))

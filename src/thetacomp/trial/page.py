@@ -43,7 +43,7 @@ def write_trial(
     ]
     paths[0].write_text(_page(trial, rows, checks, pictures), encoding="utf-8")
     _table(paths[1], rows)
-    trial.analysis.model.save(paths[2])
+    trial.trained.model.save(paths[2])
     return tuple(paths)
 
 

@@ -1,7 +1,7 @@
 """The trial of a year: a model trained in some days runs for months, frozen and with one five-minute probe a day.
 
-Training and prediction are those of every user: measured campaigns, `analyze_folder`, `predict`. The model sees the
-training days, the readings and the probes; the truth of the virtual machine judges it.
+Training and prediction are those of every user: measured campaigns, the procedures of `analyze`, `predict`. The model
+sees the training days, the readings and the probes; the truth of the virtual machine judges it.
 """
 
 from __future__ import annotations
@@ -12,15 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from thetacomp.analysis import analyze_folder
-from thetacomp.analysis_result import Analysis
-from thetacomp.campaign import CARTESIAN, Campaign, Duty, Floats, LeadIn, MachineFolder, Temperatures
+from thetacomp.campaign import CARTESIAN, Campaign, Floats, LeadIn, MachineFolder, Temperatures
 from thetacomp.models.axis_model import clock
 from thetacomp.models.document import ModelDocument
 from thetacomp.prediction import Prediction, predict
 from thetacomp.reading import read_folder
-from thetacomp.states import AxisStates, Samples, axis_states
 from thetacomp.trial.probing import DAILY, Course, adapt
+from thetacomp.trial.training import Positions, Trained, at_minute, clock_samples, spindle_duty, train
 from thetacomp.twin.campaigns import Twin
 from thetacomp.twin.hall import DAY_S
 from thetacomp.twin.mesh import Ints
@@ -30,7 +28,6 @@ from thetacomp.twin.year import MONTH_DAYS, Readings, Schedule, Year, live_a_yea
 
 NOTHING, FROZEN, ADAPTIVE = "nothing", "frozen default", "adaptive default"
 ONE_SENSOR, CLOCK, PROBES_ALONE = "one sensor (paper)", "clock", "probes alone"
-SPEED = "spindle_rpm"
 
 Progress = Callable[[str], None]
 
@@ -69,7 +66,7 @@ class Trial:
     band_um: Floats
     in_domain: Floats
     probes: Mapping[str, int]
-    analysis: Analysis
+    trained: Trained
 
 
 def stated_places(twin: Twin) -> tuple[Place, ...]:
@@ -95,13 +92,14 @@ def run_trial(
     year = live_a_year(twin, schedule)
     write_machine_folder(folder, twin, year.training)
     measured = _with_days_before(read_folder(folder), year)
-    analysis = analyze_folder(measured, progress=progress)
+    progress("fitting the models")
+    trained = train(measured)
     progress(f"running {schedule.months} months")
     places = stated_places(twin)
     t_s, true_um = _truth(twin, year, places)
-    frozen, band, inside = _run(analysis.model, twin, year, places, t_s)
-    paper, _, _ = _run(analysis.paper_model, twin, year, places, t_s)
-    timed = _by_the_clock(measured, analysis, year, places, t_s)
+    frozen, band, inside = _run(trained.model, twin, year, places, t_s)
+    paper, _, _ = _run(trained.paper_model, twin, year, places, t_s)
+    timed = _by_the_clock(trained, year, places, t_s)
     learnt, log = adapt(twin, course, places, t_s, true_um, frozen, band)
     alone, _ = adapt(twin, course, places, t_s, true_um, np.zeros_like(true_um), np.full_like(band, np.inf))
     residual = {
@@ -124,7 +122,7 @@ def run_trial(
         band_um=band,
         in_domain=inside,
         probes=log,
-        analysis=analysis,
+        trained=trained,
     )
 
 
@@ -139,14 +137,7 @@ def _with_days_before(folder: MachineFolder, year: Year) -> MachineFolder:
 
 def _lead_in(campaign: Campaign, readings: Readings, begin_s: float, year: Year) -> LeadIn:
     table = Temperatures(readings.t_s, campaign.temperatures.sensor_ids, readings.value_degC)
-    return LeadIn(table, _duty(year, begin_s + readings.t_s, readings.t_s))
-
-
-def _duty(year: Year, t_s: Floats, own_s: Floats) -> Duty:
-    """Spindle speed at times of the year, under the times `own_s` of a table; still before the first midnight."""
-    rows = np.floor(t_s / STEP_S).astype(np.int64)
-    rpm = np.where(rows < 0, 0.0, year.work.rpm[np.clip(rows, 0, len(year.work.rpm) - 1)])
-    return Duty(own_s, {SPEED: rpm})
+    return LeadIn(table, spindle_duty(year.work, begin_s + readings.t_s, readings.t_s))
 
 
 def _truth(twin: Twin, year: Year, places: Sequence[Place]) -> tuple[Floats, Floats]:
@@ -162,13 +153,6 @@ def _truth(twin: Twin, year: Year, places: Sequence[Place]) -> tuple[Floats, Flo
         cold = twin.machine.tool_error_um(zero, one, length)[:, :3]
         out[:, k] = twin.machine.tool_error_um(poses, at, length)[:, :3] - cold
     return t_s, out
-
-
-@dataclass(frozen=True)
-class _Positions:
-    t_s: Floats
-    axis: tuple[str, ...]
-    position_mm: Floats
 
 
 def _run(
@@ -187,8 +171,8 @@ def _run(
         asked = [k for k, place in enumerate(places) if place.axis in known]
         axis = tuple(places[k].axis for k in asked for _ in rows)
         position = np.repeat([places[k].position_mm for k in asked], len(rows))
-        wanted = _Positions(np.tile(t_s[rows], len(asked)), axis, position)
-        got = predict(model, table, wanted, "model", duty=_duty(year, readings.t_s, readings.t_s))
+        wanted = Positions(np.tile(t_s[rows], len(asked)), axis, position)
+        got = predict(model, table, wanted, "model", duty=spindle_duty(year.work, readings.t_s, readings.t_s))
         _fill(got, rows, asked, error, band, inside)
     # A component that a model does not have is not compensated.
     return np.nan_to_num(error), band, inside
@@ -203,37 +187,21 @@ def _fill(got: Prediction, rows: Ints, asked: Sequence[int], error: Floats, band
         inside[rows, k] = got.in_domain.reshape(shape[:2])[i]
 
 
-def _by_the_clock(
-    folder: MachineFolder, analysis: Analysis, year: Year, places: Sequence[Place], t_s: Floats
-) -> Floats:
+def _by_the_clock(trained: Trained, year: Year, places: Sequence[Place], t_s: Floats) -> Floats:
     """Regression on the hours since the day's work began, no thermometer; (n, places, 3)."""
     hours = _hours_at_work(year)
     out = np.zeros((len(t_s), len(places), 3))
-    for states in axis_states(folder, analysis.separations, [c.name for c in folder.campaigns]):
+    for states in trained.states:
         begins = np.array(year.begins_s)[states.campaign]
-        model = clock(replace(states, elapsed_h=_at(hours, begins + states.t_s)))
+        model = clock(replace(states, elapsed_h=at_minute(hours, begins + states.t_s)))
         for k, place in enumerate(places):
             if place.axis != states.axis:
                 continue
             lever_m = 0.0 if states.is_drift else (place.position_mm - states.p0_mm) / 1000.0
             for component in states.components:
-                value, _ = model.predict(component, states, _clock_samples(states, _at(hours, t_s), lever_m))
+                value, _ = model.predict(component, states, clock_samples(states, at_minute(hours, t_s), lever_m))
                 out[:, k, CARTESIAN.index(component[1])] = value
     return out
-
-
-def _clock_samples(states: AxisStates, hours: Floats, lever_m: float) -> Samples:
-    n = len(hours)
-    nothing = np.zeros(n)
-    return Samples(
-        state=np.zeros(n, dtype=np.int64),
-        lever_m=np.full(n, lever_m),
-        value_um=nothing,
-        elapsed_h=hours,
-        rise_K=np.zeros((n, len(states.sensors))),
-        noise_sd_um=nothing,
-        history=np.zeros((n, 0)),
-    )
 
 
 def _hours_at_work(year: Year) -> Floats:
@@ -242,8 +210,3 @@ def _hours_at_work(year: Year) -> Floats:
     turning = (year.work.rpm > 0).reshape(-1, minutes)
     begun = np.maximum.accumulate(turning, axis=1)
     return np.asarray(np.cumsum(begun, axis=1).ravel() * STEP_S / 3600.0)
-
-
-def _at(by_minute: Floats, t_s: Floats) -> Floats:
-    rows = np.clip(np.floor(t_s / STEP_S).astype(np.int64), 0, len(by_minute) - 1)
-    return np.asarray(by_minute[rows])
