@@ -86,7 +86,7 @@ def _row(trial: Trial, month: int, column: str, direction: str) -> MonthRow:
         direction=direction,
         p95_before_um=p95_before,
         p95_after_um=p95_after,
-        reduction_percent=100.0 * (1.0 - p95_after / p95_before),
+        reduction_percent=100.0 * (1.0 - p95_after / p95_before) if p95_before > 0.0 else float("nan"),
         worst_hour_um=float(hour_after.max()),
         hours_worse_percent=100.0 * float(np.mean(hour_after.max(axis=1) > hour_before.max(axis=1) + WORSE_BY_UM)),
         place_hours_worse_percent=100.0 * float(np.mean(hour_after > hour_before + WORSE_BY_UM)),
