@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from thetacomp.compensation.adaptation import Limits, Probe, correction_um, start_adaptation, take_probe
+from thetacomp.compensation.adaptation import Limits, Probe, acknowledge, correction_um, start_adaptation, take_probe
 from thetacomp.twin.campaigns import Twin
 from thetacomp.twin.hall import DAY_S
 from thetacomp.twin.instruments import TrackerDay, track
@@ -68,7 +68,8 @@ def adapt(
     """Correction (n, places, 3) that is added to the prediction, and how often probes were taken, limited or gated.
 
     All errors are (n, places, 3) at the times `t_s` (n,). A probe serves later rows only. In each direction the
-    correction is an offset and a tilt over every axis, so that it holds at places that were not probed too.
+    correction is an offset and a tilt over every axis, so that it holds at places that were not probed too. An alarm
+    is acknowledged before the next day's probe: what was learnt before it stays.
     """
     rng = np.random.default_rng([twin.seed, 4])
     axes = twin.machine.description.axes
@@ -84,6 +85,8 @@ def adapt(
         measured = _measure(rng, twin, course, places, true_um[row])
         stop = int(np.searchsorted(t_s, moments[number + 1])) if number + 1 < len(moments) else len(t_s) - 1
         for d in range(3):
+            if state[d].alarm:
+                state[d], _ = acknowledge(state[d], moment_s, "somebody looked at it since yesterday")
             for k in range(len(places)):
                 if not np.isfinite(measured[k, d]):
                     log["lost"] += 1
