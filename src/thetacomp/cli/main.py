@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from thetacomp import __version__
-from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, place, plan, predict, twin, verify
+from thetacomp.cli import analyze, check, demo, export, iso230, keypoints, place, plan, predict, trial, twin, verify
 
 app = typer.Typer(
     name="thetacomp",
@@ -44,6 +44,7 @@ app.command("export")(export.export)
 app.command("iso230")(iso230.iso230)
 app.command("twin")(twin.twin)
 app.command("place")(place.place)
+app.command("trial")(trial.trial)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from thetacomp.twin import duty
 from thetacomp.twin.conditions import Conditions
 from thetacomp.twin.conditions import Work as WorkSettings
+from thetacomp.twin.description import TwinAxis
 from thetacomp.twin.geometry import MachineGeometry, draw_geometry
 from thetacomp.twin.hall import hall_inputs, yearly_degC
 from thetacomp.twin.instruments import (
@@ -31,6 +32,7 @@ from thetacomp.twin.virtual import VirtualMachine
 
 NEW_YEAR = date(2026, 1, 1)
 START_HOUR = 7
+DRIFT_POINT = -1
 DAYS_BEFORE = 3  # the machine's past that still shows in its temperatures
 
 # A compensation under test: (reading times (m,), readings (m, sensors), times of the points (n,), positions of all
@@ -131,21 +133,32 @@ def run_campaign(twin: Twin, plan: Plan, correction: Correction | None = None) -
     history, begin_s = _live(machine, conditions, plan, work, rng)
     faults = draw_faults(rng, [s.id for s in sensors], conditions.pt100, len(work.on) * STEP_S)
     t_s, reading = read_sensors(rng, history, sensors, faults, conditions.pt100, begin_s)
-    truth = _truth(twin, history, begin_s, timetable)
+    truth = true_points(twin, history, begin_s, timetable)
     error = truth.thermal[:, :3] + truth.geometry[:, :3]
     if correction is not None:
         error = error + correction(t_s, reading, truth.t_s, truth.positions_mm)
-    day = set_up_tracker(rng, conditions.tracker, truth.tool_m.mean(axis=0))
-    measured = track(rng, conditions.tracker, day, truth.tool_m, error, truth.sweep)
+    measured = measure_points(rng, conditions, truth, error, timetable.cold)
     reference_s = float(np.ceil(truth.t_s[timetable.cold].max()))
-    # The frame comes from the cold block and stays: refitting it later would absorb the thermal error.
-    frame = fit_frame(truth.tool_m[timetable.cold], measured[timetable.cold])
-    measured = measured - (frame_design(truth.tool_m) @ frame).reshape(-1, 3)
     return Record(plan, reference_s, t_s, reading, measured, work, faults, truth, history, begin_s)
 
 
+def measure_points(
+    rng: np.random.Generator, conditions: Conditions, truth: SweepTruth, error_um: Floats, cold: NDArray[np.bool_]
+) -> Floats:
+    """What the tracker makes of the true errors (n, 3) in one set-up, in the frame of the machine, (n, 3)."""
+    day = set_up_tracker(rng, conditions.tracker, truth.tool_m.mean(axis=0))
+    measured = track(rng, conditions.tracker, day, truth.tool_m, error_um, truth.sweep)
+    # The frame comes from the cold block and stays: refitting it later would absorb the thermal error.
+    frame = fit_frame(truth.tool_m[cold], measured[cold])
+    return np.asarray(measured - (frame_design(truth.tool_m) @ frame).reshape(-1, 3))
+
+
+Point = tuple[float, int, int, int, float]
+"""One point of a timetable: time in s, moving axis (DRIFT_POINT for the drift log), sweep, approach, position in mm."""
+
+
 @dataclass(frozen=True)
-class _Timetable:
+class Timetable:
     """Points of all sweeps: times, moving axis (-1 drift), sweep number, approach, positions, cold block."""
 
     t_s: Floats
@@ -158,7 +171,7 @@ class _Timetable:
 
 def _timetable(
     machine: VirtualMachine, conditions: Conditions, plan: Plan, rng: np.random.Generator
-) -> tuple[_Timetable, Work]:
+) -> tuple[Timetable, Work]:
     """When every point is taken, and the minutes of work between the rounds of sweeps."""
     settings, axes = conditions.work, machine.description.axes
     names = [a.name for a in axes]
@@ -167,7 +180,7 @@ def _timetable(
     rounds += [("warm", round(settings.warm_h * 60 / blocks))] * blocks
     cools = round(settings.cool_h * 60 / settings.between_sweeps_min)
     rounds += [("cool", round(settings.between_sweeps_min))] * cools
-    points: list[tuple[float, int, int, int, float]] = []  # t, axis, sweep, direction, position
+    points: list[Point] = []
     parts: list[Work] = []
     now, sweep, cold_points = 0.0, 0, 0
     for phase, minutes in rounds:
@@ -175,35 +188,48 @@ def _timetable(
             parts.append(_work_block(plan, phase, minutes, names, settings, rng))
             now += minutes * STEP_S
         begin = now
-        for a, axis in enumerate(axes):
-            targets = np.linspace(*axis.travel_mm, settings.points)
-            travel_s = (targets[1] - targets[0]) / (settings.sweep_feed_m_min * 1000 / 60)
-            now += 45.0  # from the middle to the start of the travel
-            for direction, order in ((1, targets), (-1, targets[::-1])):
-                for p in order:
-                    now += travel_s + settings.dwell_s
-                    points.append((now, a, sweep, direction, float(p)))
-                now += 10.0  # overrun, so that every target is approached from one side
-            sweep += 1
-            now += 45.0
-            points.append((now, -1, sweep, 1, 0.0))  # the middle once more: the drift log
-            sweep += 1
+        own = sweep_round(axes, settings, begin, sweep)
+        points += own
+        now, sweep = own[-1][0], own[-1][2] + 1
         now = np.ceil(now / STEP_S) * STEP_S
         parts.append(duty.idle(round((now - begin) / STEP_S), names, on=1.0))
         if phase == "cold":
             cold_points = len(points)
     work = duty.join(parts)
+    result = as_timetable(axes, points, np.arange(len(points)) < cold_points)
+    return result, duty.with_chiller(work, _chiller(plan, len(work.on), rng))
+
+
+def sweep_round(axes: Sequence[TwinAxis], settings: WorkSettings, begin_s: float, sweep: int) -> list[Point]:
+    """One round from `begin_s` on: a sweep of every axis there and back, after each the middle of all travels.
+
+    `sweep` is the number of its first sweep. The other axes stand in the middle.
+    """
+    points, now = [], begin_s
+    for a, axis in enumerate(axes):
+        targets = np.linspace(*axis.travel_mm, settings.points)
+        travel_s = (targets[1] - targets[0]) / (settings.sweep_feed_m_min * 1000 / 60)
+        now += 45.0  # from the middle to the start of the travel
+        for direction, order in ((1, targets), (-1, targets[::-1])):
+            for p in order:
+                now += travel_s + settings.dwell_s
+                points.append((now, a, sweep, direction, float(p)))
+            now += 10.0  # overrun, so that every target is approached from one side
+        now += 45.0
+        points.append((now, DRIFT_POINT, sweep + 1, 1, 0.0))
+        sweep += 2
+    return points
+
+
+def as_timetable(axes: Sequence[TwinAxis], points: Sequence[Point], cold: NDArray[np.bool_]) -> Timetable:
+    """The points as arrays; an axis that does not move stands in the middle of its travel."""
     table = np.array(points)
     moving = table[:, 1].astype(np.int64)
     positions = {}
     for a, axis in enumerate(axes):
         middle = 0.5 * (axis.travel_mm[0] + axis.travel_mm[1])
         positions[axis.name] = np.where(moving == a, table[:, 4], middle)
-    cold = np.arange(len(table)) < cold_points
-    result = _Timetable(
-        table[:, 0], moving, table[:, 2].astype(np.int64), table[:, 3].astype(np.int64), positions, cold
-    )
-    return result, duty.with_chiller(work, _chiller(plan, len(work.on), rng))
+    return Timetable(table[:, 0], moving, table[:, 2].astype(np.int64), table[:, 3].astype(np.int64), positions, cold)
 
 
 def _work_block(
@@ -242,7 +268,8 @@ def _live(
     return history, (len(before.on) + len(night.on)) * STEP_S
 
 
-def _truth(twin: Twin, history: History, begin_s: float, table: _Timetable) -> SweepTruth:
+def true_points(twin: Twin, history: History, begin_s: float, table: Timetable) -> SweepTruth:
+    """What is true at the points of a timetable that begins at `begin_s` of the history."""
     machine, length = twin.machine, twin.conditions.work.tool_length_mm
     poses = history.poses(machine, begin_s + table.t_s)
     thermal = machine.tool_error_um(poses, table.positions_mm, length)

@@ -32,16 +32,21 @@ def refuse_filled(folder: Path) -> None:
 def write_twin(folder: Path, twin: Twin, plans: Sequence[Plan]) -> tuple[Record, ...]:
     """Run the planned campaigns and write both folders. Raises AnalysisError where one of them is not empty."""
     refuse_filled(folder)
-    truth, records = truth_folder(folder), []
-    _text(folder / "machine.toml", _machine_toml(twin))
-    for plan in plans:
-        record = run_campaign(twin, plan)
-        write_campaign(folder / "campaigns" / plan.name, twin, record)
-        write_truth(truth / "campaigns" / plan.name, twin, record)
-        records.append(record)
+    truth, records = truth_folder(folder), [run_campaign(twin, plan) for plan in plans]
+    write_machine_folder(folder, twin, records)
+    for record in records:
+        write_truth(truth / "campaigns" / record.plan.name, twin, record)
     _text(truth / "truth.toml", _truth_toml(twin, records))
     _table(truth / "geometry.csv", *_geometry_table(twin))
     return tuple(records)
+
+
+def write_machine_folder(folder: Path, twin: Twin, records: Sequence[Record]) -> None:
+    """Write machine and measured campaigns, no truth. Raises AnalysisError where the folder is not empty."""
+    refuse_filled(folder)
+    _text(folder / "machine.toml", _machine_toml(twin))
+    for record in records:
+        write_campaign(folder / "campaigns" / record.plan.name, twin, record)
 
 
 def write_campaign(folder: Path, twin: Twin, record: Record, compensation: str = "off") -> None:

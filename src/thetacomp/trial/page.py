@@ -1,0 +1,90 @@
+"""The files of a trial: monthly.csv, the page, its pictures, and the model."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import astuple, fields
+from itertools import groupby
+from pathlib import Path
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from thetacomp import __version__
+from thetacomp.report import tables
+from thetacomp.report.rendering import inline_svg, render
+from thetacomp.trial.figures import month_by_month, one_week
+from thetacomp.trial.monthly import TOOL, WORSE_BY_UM, MonthRow
+from thetacomp.trial.run import ADAPTIVE, Trial
+from thetacomp.validation.result import AcceptanceCheck
+
+PAGE_FILE, TABLE_FILE, FIGURE_FOLDER = "trial.html", "monthly.csv", "figures"
+
+
+def write_trial(
+    trial: Trial, rows: Sequence[MonthRow], checks: Sequence[AcceptanceCheck], out: Path
+) -> tuple[Path, ...]:
+    """Write trial.html, monthly.csv, model.json and figures into `out`; returns the paths, the page first."""
+    folder = out / FIGURE_FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = [month_by_month(rows), one_week(trial)]
+    rendered = [render(figure) for figure in figures]
+    paths = [out / PAGE_FILE, out / TABLE_FILE, out / "model.json"]
+    for figure, files in zip(figures, rendered, strict=True):
+        svg, png = folder / f"{figure.name}.svg", folder / f"{figure.name}.png"
+        svg.write_text(files.svg, encoding="utf-8")
+        png.write_bytes(files.png)
+        paths += [svg, png]
+    pictures = [
+        (figure, Markup(inline_svg(files.svg, figure.name, str(escape(figure.title)))))  # our own drawing
+        for figure, files in zip(figures, rendered, strict=True)
+    ]
+    paths[0].write_text(_page(trial, rows, checks, pictures), encoding="utf-8")
+    _table(paths[1], rows)
+    trial.trained.model.save(paths[2])
+    return tuple(paths)
+
+
+def _page(trial: Trial, rows: Sequence[MonthRow], checks: Sequence[AcceptanceCheck], pictures: Sequence[object]) -> str:
+    environment = Environment(
+        loader=ChoiceLoader(
+            [PackageLoader("thetacomp.trial", "templates"), PackageLoader("thetacomp.report", "templates")]
+        ),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(number=tables.number, significant=tables.significant)
+    tool = [row for row in rows if row.direction == TOOL]
+    return environment.get_template("trial.html.j2").render(
+        trial=trial,
+        version=__version__,
+        checks=checks,
+        passed=all(check.passed for check in checks),
+        operators={">=": "≥", "<=": "≤"},
+        taken=trial.probes.get("adapted", 0) + trial.probes.get("limited", 0),
+        refused=sum(trial.probes.get(name, 0) for name in ("gated", "alarm", "blocked")),
+        lost=trial.probes.get("lost", 0),
+        figures=pictures,
+        worse_um=WORSE_BY_UM,
+        main=ADAPTIVE,
+        months=[(month, list(lines)) for month, lines in groupby(tool, key=lambda row: row.month)],
+    )
+
+
+def _table(path: Path, rows: Sequence[MonthRow]) -> None:
+    """Numbers with six significant digits, a missing value as an empty cell."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([field.name for field in fields(MonthRow)])
+        for row in rows:
+            writer.writerow([_cell(value) for value in astuple(row)])
+
+
+def _cell(value: object) -> object:
+    if not isinstance(value, float):
+        return value
+    return f"{value:.6g}" if math.isfinite(value) else ""
