@@ -110,6 +110,29 @@ def test_rate_is_that_of_a_parabola() -> None:
     assert rate_matrix(times) @ parabola == pytest.approx(2.0 - times)
 
 
+def test_a_bend_is_error_and_never_geometry() -> None:
+    """The mean bend of the heated sweeps must not count as geometry: the whole bend stands in the thermal points."""
+    rng = np.random.default_rng(12)
+    found, expected = [], []
+    for _ in range(12):
+        campaign, truth = measured_campaign(rng, bend_um=60.0, outlier_share=0.0, angle_u_um_per_m=0.0)
+        s = separate_campaign(MACHINE, campaign)[0]
+        assert s.points is not None
+        assert any("heat bends the curve" in note for note in s.notes)
+        last = s.points.sweep == s.sweep[-1]
+        p, t_s = s.points.position_mm[last], s.points.t_s[last]
+        basis = np.column_stack([np.ones(len(p)), p])
+        for values, out in (
+            (s.points.thermal_um[last], found),
+            (60.0 * truth.warmth(t_s) * np.sin(np.pi * p / 3000.0), expected),
+        ):
+            bend = values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
+            middle = np.abs(p - 1500.0) < 400.0
+            out.append(float(bend[middle].mean()))
+    # closed form: 60 µm times the warmth, less the best line; with the geometry of all sweeps a seventh would be left
+    assert np.mean(found) == pytest.approx(np.mean(expected), rel=0.12)
+
+
 def test_a_bend_is_found_and_told_in_um() -> None:
     rng = np.random.default_rng(11)
     bent = [separate_campaign(MACHINE, measured_campaign(rng, bend_um=40.0)[0])[0] for _ in range(5)]

@@ -289,12 +289,25 @@ def fit_component(data: ComponentData) -> JointFit:
     )
 
 
-def shape_change(data: ComponentData, fit: JointFit) -> tuple[float, int, Floats, Floats]:
-    """Fit a change of shape to every heated sweep: second and third Legendre terms and a change of reversal.
+@dataclass(frozen=True)
+class ShapeChange:
+    """The fit in which every heated sweep may change its shape: `terms` more unknowns, residual sum `rss_um2`.
 
-    Returns the residual sum of squares with it, the number of added terms, and for each heated sweep and measured
-    point the change of shape with its standard error, both (n,).
+    `change_um` and `se_um` (n,) are the change at every point with its standard error. The geometry is that of the
+    cold block here: the mean change of shape cannot hide in it.
     """
+
+    rss_um2: float
+    terms: int
+    change_um: Floats
+    se_um: Floats
+    geometry_coefficients: Floats
+    geometry_covariance: Floats
+    geometry_um: Floats
+
+
+def shape_change(data: ComponentData, fit: JointFit) -> ShapeChange:
+    """Fit a change of shape to every heated sweep: second and third Legendre terms and a change of reversal."""
     good = ~fit.outlier
     span = (data.position_mm.min(), data.position_mm.max())
     x = 2.0 * (data.position_mm - span[0]) / (span[1] - span[0]) - 1.0
@@ -308,4 +321,13 @@ def shape_change(data: ComponentData, fit: JointFit) -> tuple[float, int, Floats
     tail = slice(system.common.stop, system.design.shape[1])
     change = extra @ rich.coefficients[tail]
     variance = np.einsum("ij,jk,ik->i", extra, rich.covariance[tail, tail], extra)
-    return rich.rss, extra.shape[1], change, np.sqrt(np.maximum(variance, 0.0))
+    g = system.geometry
+    return ShapeChange(
+        rss_um2=rich.rss,
+        terms=extra.shape[1],
+        change_um=np.asarray(change),
+        se_um=np.sqrt(np.maximum(variance, 0.0)),
+        geometry_coefficients=rich.coefficients[g],
+        geometry_covariance=rich.covariance[g, g],
+        geometry_um=np.asarray(system.design[:, g] @ rich.coefficients[g]),
+    )

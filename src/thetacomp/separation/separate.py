@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -11,7 +12,7 @@ from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Param
 from thetacomp.cold_block import sweep_table
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine
-from thetacomp.separation.joint import ComponentData, JointFit, fit_component, shape_change
+from thetacomp.separation.joint import ComponentData, JointFit, ShapeChange, fit_component, shape_change
 from thetacomp.separation.reference import (
     drift_window,
     reference_time_s,
@@ -148,7 +149,7 @@ def _component(
     reference_s: float,
     notes: list[str],
 ) -> AxisFit:
-    fit = fit_component(data)
+    fit, linearity, bends = _fit(data)
     count = len(own)
     intercept, slope = np.zeros(count), np.zeros(count)
     intercept_se, slope_se = np.zeros(count), np.zeros(count)
@@ -161,7 +162,7 @@ def _component(
         for k in range(count)
     ]
     curves = _geometry_curves(data, fit)
-    own_notes = list(notes)
+    own_notes = [*notes, *bends]
     settings = campaign.settings
     is_angle = direction not in CARTESIAN
     if not is_angle and settings.instrument_u_um is not None and fit.noise_sd_um > settings.instrument_u_um:
@@ -208,11 +209,36 @@ def _component(
             line_um=fit.line_um,
             outlier=fit.outlier,
         ),
-        linearity=_linearity(data, fit),
+        linearity=linearity,
         reversal_um=_reversal_um(curves),
         notes=tuple(own_notes),
     )
     return AxisFit(data, fit, separation)
+
+
+def _fit(data: ComponentData) -> tuple[JointFit, LinearityTest | None, tuple[str, ...]]:
+    """The joint fit and its test of shape. Where heat bends the curve, the geometry is that of the cold block alone.
+
+    Else the mean bend of the heated sweeps would count as geometry, and every error before and after look too small.
+    """
+    fit = fit_component(data)
+    if not len(fit.states):
+        return fit, None, ()
+    shape = shape_change(data, fit)
+    linearity = _linearity(fit, shape)
+    if linearity is None or linearity.holds:
+        return fit, linearity, ()
+    cold = replace(
+        fit,
+        geometry_coefficients=shape.geometry_coefficients,
+        geometry_covariance=shape.geometry_covariance,
+        geometry_um=shape.geometry_um,
+    )
+    note = (
+        f"heat bends the curve by up to {linearity.cost_um:.0f} µm, which a line cannot follow: the geometry is that of"
+        " the cold block, and the bend counts as error before and after"
+    )
+    return cold, linearity, (note,)
 
 
 def _geometry_curves(data: ComponentData, fit: JointFit) -> tuple[GeometryCurve, ...]:
@@ -236,22 +262,19 @@ def _reversal_um(curves: tuple[GeometryCurve, ...]) -> float | None:
     return float(np.mean(by_direction[1].value_um - by_direction[-1].value_um))
 
 
-def _linearity(data: ComponentData, fit: JointFit) -> LinearityTest | None:
+def _linearity(fit: JointFit, shape: ShapeChange) -> LinearityTest | None:
     """F-test of a change of shape in the heated sweeps against the scatter of the points."""
-    if not len(fit.states):
-        return None
-    rss_shape, terms, change, se = shape_change(data, fit)
-    freedom = fit.dof - terms
+    freedom = fit.dof - shape.terms
     if freedom < 5:
         return None
-    statistic = max((fit.rss_um2 - rss_shape) / terms / (rss_shape / freedom), 0.0)
-    p_value = float(special.fdtrc(terms, freedom, statistic))
-    worst = int(np.argmax(np.abs(change)))
+    statistic = max((fit.rss_um2 - shape.rss_um2) / shape.terms / (shape.rss_um2 / freedom), 0.0)
+    p_value = float(special.fdtrc(shape.terms, freedom, statistic))
+    worst = int(np.argmax(np.abs(shape.change_um)))
     return LinearityTest(
         f_statistic=float(statistic),
         p_value=p_value,
-        cost_um=float(abs(change[worst])),
-        cost_se_um=float(se[worst]),
+        cost_um=float(abs(shape.change_um[worst])),
+        cost_se_um=float(shape.se_um[worst]),
         holds=p_value >= SHAPE_TEST_LEVEL,
     )
 
