@@ -163,6 +163,9 @@ def test_the_held_out_campaign_teaches_nothing() -> None:
         np.testing.assert_array_equal(
             other.folder.campaign(name).temperatures.value_degC, usual.folder.campaign(name).temperatures.value_degC
         )
+    # Nor does one tested campaign teach another.
+    pair = [screened(f, ("c0", "c1"), (FAULTY, "c3")) for f in (spoilt, with_temperatures(spoilt, "c3", wild))]
+    np.testing.assert_array_equal(*(out.folder.campaign(FAULTY).temperatures.value_degC for out in pair))
     # The faulty campaign under test: its own healthy part does not enter the model that judges it.
     alone = screened(spoilt, [n for n in NAMES if n != FAULTY], (FAULTY,))
     together = screened(spoilt, NAMES)
