@@ -326,3 +326,11 @@ def test_the_command_repairs_unless_told_otherwise(tmp_path: Path) -> None:
         for data in told.values()
     ]
     assert rms_um[1] > 20.0 * rms_um[0]
+
+
+def test_a_faulty_campaign_is_cleaned_before_it_teaches() -> None:
+    """A campaign with a jump would teach that this sensor jumps, and hide the drift in another."""
+    spoilt = faulty_folder("jump", size_K=31.0)
+    drifting = with_fault(folder().campaign("c3").temperatures, SENSOR, "drift", START_S, rate_K_per_h=0.5)
+    found = screened(with_temperatures(spoilt, "c3", drifting), NAMES).findings
+    assert {(name, f.sensor, f.kind) for name, f in found} == {(FAULTY, SENSOR, "jump"), ("c3", SENSOR, "drift")}
