@@ -30,6 +30,7 @@ from thetacomp.screening import (
     screen,
     with_fault,
 )
+from thetacomp.screening.repair import sample_spikes
 
 HOUR_S = 3600.0
 START_S = 4.0 * HOUR_S
@@ -295,3 +296,13 @@ def test_held_labels() -> None:
     np.testing.assert_array_equal(find_held_labels(label_um[:, 0], t_s, duty), held[:, 0])
     with pytest.raises(AnalysisError, match="200, 199 and 200"):
         find_held_labels(label_um, t_s[1:], duty)
+
+
+def test_the_sharp_peak_of_a_fast_sensor_is_no_spike() -> None:
+    """Where a heat source stops, a fast sensor turns within a sample; a sample that fits neither side is a spike."""
+    value, at = healthy().value_degC.copy(), 600
+    value[:, 2] = 30.0 - 0.5 * np.minimum(np.abs(np.arange(len(value)) - at), 10)
+    assert sample_spikes(model(), replace(healthy(), value_degC=value)) == []
+    value[at + 40, 2] += 2.0
+    (event,) = sample_spikes(model(), replace(healthy(), value_degC=value))
+    assert (event.j, event.onset) == (2, at + 40)

@@ -163,6 +163,9 @@ def test_the_held_out_campaign_teaches_nothing() -> None:
         np.testing.assert_array_equal(
             other.folder.campaign(name).temperatures.value_degC, usual.folder.campaign(name).temperatures.value_degC
         )
+    # Nor does one tested campaign teach another.
+    pair = [screened(f, ("c0", "c1"), (FAULTY, "c3")) for f in (spoilt, with_temperatures(spoilt, "c3", wild))]
+    np.testing.assert_array_equal(*(out.folder.campaign(FAULTY).temperatures.value_degC for out in pair))
     # The faulty campaign under test: its own healthy part does not enter the model that judges it.
     alone = screened(spoilt, [n for n in NAMES if n != FAULTY], (FAULTY,))
     together = screened(spoilt, NAMES)
@@ -323,3 +326,11 @@ def test_the_command_repairs_unless_told_otherwise(tmp_path: Path) -> None:
         for data in told.values()
     ]
     assert rms_um[1] > 20.0 * rms_um[0]
+
+
+def test_a_faulty_campaign_is_cleaned_before_it_teaches() -> None:
+    """A campaign with a jump would teach that this sensor jumps, and hide the drift in another."""
+    spoilt = faulty_folder("jump", size_K=31.0)
+    drifting = with_fault(folder().campaign("c3").temperatures, SENSOR, "drift", START_S, rate_K_per_h=0.5)
+    found = screened(with_temperatures(spoilt, "c3", drifting), NAMES).findings
+    assert {(name, f.sensor, f.kind) for name, f in found} == {(FAULTY, SENSOR, "jump"), ("c3", SENSOR, "drift")}

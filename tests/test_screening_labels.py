@@ -135,6 +135,12 @@ def test_healthy_sweeps_one_constant_direction_and_tables_without_noise_stay() -
         out, entries = without_held_labels(campaign)
         assert out is campaign
         assert entries == []
+    # The axis waits at one place: a reading that repeats there is no sign of a hang.
+    waiting = hung(measured, 100, 110)
+    position_mm = sweeps_of(waiting).position_mm.copy()
+    position_mm[99:110] = position_mm[99]
+    waiting = replace(waiting, sweeps=replace(sweeps_of(waiting), position_mm=position_mm))
+    assert without_held_labels(waiting) == (waiting, [])
     # A whole sweep without any change, as a cold sweep in a published table: told, and believed.
     cold = hung(measured, 0, 42)
     out, entries = without_held_labels(cold)

@@ -134,7 +134,7 @@ def _screen_all(
 def _teachers(
     folder: MachineFolder, campaign: Campaign, train: Sequence[str], suspects: Sequence[str]
 ) -> list[Temperatures]:
-    """Tables of the other training campaigns with the same sensors; suspects are cleaned by the rest of them."""
+    """Tables of the other training campaigns with the same sensors; suspects are cleaned by the healthy ones."""
     ids = campaign.temperatures.sensor_ids
     others = {name: folder.campaign(name).temperatures for name in train if name != campaign.name}
     tables = {
@@ -147,15 +147,16 @@ def _teachers(
             f"screening learns from at least {MIN_TEACHERS} other training campaigns with the same sensors and"
             f" {MIN_SAMPLES} samples each; there {'is' if len(tables) == 1 else 'are'} {len(tables)}"
         )
+    healthy = [table for name, table in tables.items() if name not in suspects]
     return [
-        _cleaned(table, [t for other, t in tables.items() if other != name]) if name in suspects else table
+        _cleaned(table, healthy or [t for other, t in tables.items() if other != name]) if name in suspects else table
         for name, table in tables.items()
     ]
 
 
-def _cleaned(table: Temperatures, rest: Sequence[Temperatures]) -> Temperatures:
+def _cleaned(table: Temperatures, judges: Sequence[Temperatures]) -> Temperatures:
     try:
-        return cleaned(table, rest)
+        return cleaned(table, judges)
     except AnalysisError:
         return table  # one short campaign cannot judge another
 
