@@ -8,8 +8,10 @@ import numpy as np
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.comparison.result import ComparisonRow
 from thetacomp.conditions import refuse_mixtures
 from thetacomp.errors import AnalysisError
+from thetacomp.keypoints.sensor_curve import sensor_curves
 from thetacomp.keypoints.states import correlation_tables, parameter_table
 from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
 from thetacomp.models.build import build_document
@@ -48,12 +50,14 @@ def analyze_folder(
     progress: Progress = lambda message: None,
     repair: bool = True,
     mix: bool = False,
+    compare: bool = False,
 ) -> Analysis:
     """Run the whole analysis of a machine folder.
 
     `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
     one line a step. With `repair` the faulty temperatures and held labels that screening finds are mended or left out,
-    else only told. `mix` allows campaigns of different operating modes or active tables in one model. Raises
+    else only told. `mix` allows campaigns of different operating modes or active tables in one model. With
+    `compare` other families of models are fitted and judged beside the stored one, which takes minutes. Raises
     AnalysisError where the measurements cannot carry an analysis.
     """
     train, test = _chosen(folder, train, test)
@@ -98,6 +102,10 @@ def analyze_folder(
     static = acceptance_of_static_law(judged, judged_rows, permutations, model) if model.history else ()
     notes += fold_notes
     model = with_verdict(model, judged_rows, _failed(acceptance), _failed(static), notes)
+    curves = sensor_curves(training, progress)
+    compared, compare_notes = (
+        _compare(folder, everything, test, model.history, procedure, rows, progress) if compare else ((), ())
+    )
     parameter_correlations, sensor_correlations = correlation_tables([parameter_table(s) for s in training])
     return Analysis(
         folder=folder,
@@ -112,10 +120,12 @@ def analyze_folder(
         validation=rows,
         permutations=permutations,
         acceptance=acceptance,
-        notes=notes,
+        notes=notes + compare_notes,
         held_out=held_out,
         angles=separated.angles,
         screening=screening,
+        comparison=compared,
+        sensor_curves=curves,
     )
 
 
@@ -250,6 +260,28 @@ def _validate(
         by_state += held_out_states(states, [item for item in own if item.split != FORWARD], "default")
         residuals += own
     return residuals, tuple(rows), tuple(by_state), tuple(notes)
+
+
+def _compare(
+    folder: MachineFolder,
+    everything: Sequence[AxisStates],
+    test: Sequence[str],
+    history: Mapping[str, HistoryAxis],
+    procedure: Procedure,
+    rows: Sequence[ValidationRow],
+    progress: Progress,
+) -> tuple[tuple[ComparisonRow, ...], tuple[str, ...]]:
+    """Families of models beside the stored one, with the folds of the main hold-out."""
+    from thetacomp.comparison.compare import AxisTask, compare_families  # loads scikit-learn
+    from thetacomp.comparison.families import FAMILIES
+
+    cartesian = {axis.name: axis.cartesian for axis in folder.machine.axes}
+    tasks = [
+        AxisTask(s, "test" if test else hold_out(s)[0], _main_folds(s, test), cartesian.get(s.axis, ""))
+        for s in everything
+    ]
+    standing: dict[str, AnyProcedure] = {"default": calibrated_history, KEY_POINTS: procedure}
+    return compare_families(tasks, everything, history, standing, rows, progress, FAMILIES)
 
 
 def _new_folds(some: Sequence[Fold], known: Sequence[Fold]) -> list[Fold]:

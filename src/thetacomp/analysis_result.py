@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from thetacomp.campaign import CorrelationTable, MachineFolder
+from thetacomp.comparison.result import ComparisonRow
 from thetacomp.keypoints.result import AxisKeyPoints
+from thetacomp.keypoints.sensor_curve import SensorCurve
 from thetacomp.models.document import ModelDocument
 from thetacomp.screening.campaigns import ScreenedFolder
 from thetacomp.separation.result import ComponentSeparation
@@ -21,6 +23,8 @@ class Analysis:
     `parameter_correlations` has rows such as `EYX intercept` and the sensors as columns; `sensor_correlations` is
     sensors by sensors. `held_out` is the default model on states that it has not seen. `permutations` are absent where
     too few states exist to shuffle. `angles` are the separated angles of the joint form, in µrad and µrad/m.
+    `comparison` holds families of models beside the stored one, where they were asked for; `sensor_curves` the proven
+    best sensors of the axes that have enough campaigns.
     """
 
     folder: MachineFolder
@@ -39,3 +43,5 @@ class Analysis:
     held_out: tuple[HeldOutStates, ...] = ()
     angles: tuple[ComponentSeparation, ...] = ()
     screening: ScreenedFolder | None = None
+    comparison: tuple[ComparisonRow, ...] = ()
+    sensor_curves: tuple[SensorCurve, ...] = ()

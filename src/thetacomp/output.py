@@ -9,6 +9,7 @@ from dataclasses import astuple, fields
 from pathlib import Path
 
 from thetacomp.analysis_result import Analysis
+from thetacomp.comparison.result import ComparisonRow
 from thetacomp.separation import ComponentSeparation
 from thetacomp.validation.result import ValidationRow
 
@@ -16,7 +17,8 @@ from thetacomp.validation.result import ValidationRow
 def write_tables(analysis: Analysis, out: Path) -> tuple[Path, ...]:
     """Write model.json and the tables of separation, key points, validation, acceptance, screening; return the paths.
 
-    `angles.csv` is written where angles were measured.
+    `angles.csv` is written where angles were measured, `sensor_curve.csv` where campaigns suffice to search the best
+    sensors, `comparison.csv` where families of models were compared.
     Numbers have a decimal point and six significant digits, a missing value is an empty cell, the text is UTF-8.
     """
     out.mkdir(parents=True, exist_ok=True)
@@ -37,6 +39,8 @@ def write_tables(analysis: Analysis, out: Path) -> tuple[Path, ...]:
             (astuple(check) for check in analysis.acceptance),
         ),
         _table(out / "screening.csv", SCREENING_COLUMNS, _screening_rows(analysis)),
+        *((_table(out / "sensor_curve.csv", CURVE_COLUMNS, _curve_rows(analysis)),) if analysis.sensor_curves else ()),
+        *((_comparison(out / "comparison.csv", analysis.comparison),) if analysis.comparison else ()),
     )
 
 
@@ -133,6 +137,37 @@ def _keypoint_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
 def _validation(path: Path, rows: Sequence[ValidationRow]) -> Path:
     names = tuple(field.name for field in fields(ValidationRow))
     return _table(path, names, (astuple(row) for row in rows))
+
+
+def _comparison(path: Path, rows: Sequence[ComparisonRow]) -> Path:
+    return _table(path, tuple(field.name for field in fields(ComparisonRow)), (astuple(row) for row in rows))
+
+
+CURVE_COLUMNS = (
+    "axis",
+    "score",
+    "count",
+    "sensors",
+    "residual_um",
+    "held_out_um",
+    "bound_um",
+    "proven",
+    "sensor",
+    "share_percent",
+    "draws",
+)
+
+
+def _curve_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+    """A row for each number of sensors, then a row for each sensor with its share among the resampled choices."""
+    for curve in analysis.sensor_curves:
+        for point in curve.points:
+            figures = (point.residual_um, point.held_out_um, point.bound_um, int(point.proven))
+            yield curve.axis, curve.score, point.count, " ".join(point.sensors), *figures, "", math.nan, ""
+        if curve.shares is not None:
+            for sensor, share in zip(curve.shares.sensors, curve.shares.share, strict=True):
+                empty = ("", math.nan, math.nan, math.nan, "")
+                yield curve.axis, curve.score, curve.best, *empty, sensor, 100.0 * float(share), curve.shares.draws
 
 
 def _table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:

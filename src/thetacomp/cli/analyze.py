@@ -31,6 +31,9 @@ def analyze(
     mix: Annotated[
         bool, typer.Option("--mix", help="Let campaigns of different modes or active tables share one model.")
     ] = False,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Judge other families of models beside the stored one; takes minutes.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Separate, choose key points, fit, validate; write model.json, tables, figures and report.html."""
@@ -46,7 +49,7 @@ def analyze(
                 typer.echo(f"… {message}", err=True)
 
         progress("reading")
-        analysis = analyze_folder(read_folder(folder), train or (), test or (), progress, not no_repair, mix)
+        analysis = analyze_folder(read_folder(folder), train or (), test or (), progress, not no_repair, mix, compare)
         paths = write_tables(analysis, out)
         progress("drawing")
         paths += write_report(analysis, out)
@@ -98,6 +101,8 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
             {"campaign": name, **asdict(found)}
             for name, found in (analysis.screening.findings if analysis.screening else ())
         ],
+        "sensor_curves": [asdict(curve) for curve in analysis.sensor_curves],
+        "comparison": [asdict(row) for row in analysis.comparison],
         "notes": list(analysis.notes),
         "files": [str(path) for path in paths],
     }

@@ -28,13 +28,24 @@ class MethodName(StrEnum):
 
     WEIGHTED = "weighted"
     PAPER = "paper"
+    EXACT = "exact"
+
+
+class SearchScore(StrEnum):
+    """What the exact search makes as small as possible."""
+
+    HELD_OUT = "held_out"
+    RESIDUAL = "residual"
+    WORST_CAMPAIGN = "worst_campaign"
 
 
 def keypoints(
     folder: Annotated[Path | None, typer.Argument(metavar="[DIR]", help="Machine folder.", show_default=False)] = None,
     method: Annotated[
         MethodName,
-        typer.Option(help="weighted: by µm over the travel, held out. paper: by regret of correlation."),
+        typer.Option(
+            help="weighted: by µm over the travel, held out. paper: by regret of correlation. exact: proven best."
+        ),
     ] = MethodName.WEIGHTED,
     parameter_correlations: Annotated[
         Path | None,
@@ -46,6 +57,13 @@ def keypoints(
     machine: Annotated[
         Path | None, typer.Option("--machine", help="machine.toml that says which sensors sit on which drive.")
     ] = None,
+    sensors: Annotated[
+        int | None, typer.Option(min=1, help="exact: only the best set of so many sensors. Default: the curve 1 to 6.")
+    ] = None,
+    score: Annotated[SearchScore, typer.Option(help="exact: what is made smallest.")] = SearchScore.HELD_OUT,
+    budget_s: Annotated[
+        float | None, typer.Option("--budget-s", min=0.0, help="exact: most seconds for each number of sensors.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Choose the sensors that matter, and say for every sensor why it stayed or went."""
@@ -55,9 +73,19 @@ def keypoints(
         raise typer.BadParameter("give a machine folder, or both correlation tables.")
     if machine is not None and folder is not None:
         raise typer.BadParameter("--machine is for correlation tables without a folder; a folder has its machine.toml.")
+    exact = method is MethodName.EXACT
+    if exact and parameter_correlations is not None:
+        raise typer.BadParameter("--method exact needs measurements: published correlations do not tell hold-outs.")
+    if not exact and (sensors is not None or budget_s is not None or score is not SearchScore.HELD_OUT):
+        raise typer.BadParameter("--sensors, --score and --budget-s belong to --method exact.")
     if parameter_correlations is not None and sensor_correlations is not None:
         tables = (parameter_correlations, sensor_correlations)
         run(lambda: _from_tables(tables, folder, machine), as_json)
+    elif exact and folder is not None:
+        from thetacomp.cli.keypoints_exact import exact_key_points
+
+        measured = folder
+        run(lambda: exact_key_points(measured, sensors, score.value, budget_s, as_json), as_json)
     elif folder is not None:
         path = folder
         run(lambda: _from_folder(path, method), as_json)
@@ -94,7 +122,9 @@ def _from_folder(path: Path, method: MethodName) -> Outcome:
         )
         found.append((PUBLISHED, published))
         notes.append(_about_the_rule(folder.parameter_correlations))
-    found.append((MEASURED, key_points(folder, separate_folder(folder), method.value)))
+    found.append(
+        (MEASURED, key_points(folder, separate_folder(folder), "paper" if method is MethodName.PAPER else "weighted"))
+    )
     return _outcome(found, [*notes, *_about_the_sign(folder)])
 
 

@@ -89,6 +89,7 @@ def best_subset(
     progress: Callable[[SearchProgress], None] | None = None,
     budget_s: float | None = None,
     budget_nodes: int | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> SubsetResult:
     """The k inputs that explain the targets best together.
 
@@ -97,13 +98,14 @@ def best_subset(
     standardised. Of subsets that score alike the one listed first wins. A subset whose columns depend on each other, in
     all campaigns or in those that train a fold, is never chosen.
 
-    The search stops after `budget_s` seconds or `budget_nodes` nodes; `bound` then says what may have been missed.
+    The search stops after `budget_s` seconds or `budget_nodes` nodes, or when `stop` says so; `bound` then says what
+    may have been missed.
     AnalysisError where the question has no answer: too few sensors or campaigns, a target that does not vary.
     """
     total = merge(campaigns)
     names = total.targets if targets is None else tuple(targets)
     weights = _weights(total.select(targets=names), weights_um)
-    return _best_subset(campaigns, k, score, names, weights, progress, budget_s, budget_nodes)
+    return _best_subset(campaigns, k, score, names, weights, progress, budget_s, budget_nodes, stop)
 
 
 def best_subset_per_target(
@@ -185,6 +187,7 @@ def _best_subset(
     progress: Callable[[SearchProgress], None] | None,
     budget_s: float | None,
     budget_nodes: int | None,
+    stop: Callable[[], bool] | None = None,
 ) -> SubsetResult:
     total = merge(campaigns)
     varies = ~total.is_constant()[: len(total.inputs)]
@@ -194,7 +197,7 @@ def _best_subset(
     reduced = [campaign.select(usable, targets) for campaign in campaigns]
     products, mean_square = _products(reduced, weights, score)
     report = _reporter(progress, mean_square)
-    subset, value, bound, evaluated = _search(products, k, report, budget_s, budget_nodes)
+    subset, value, bound, evaluated = _search(products, k, report, budget_s, budget_nodes, stop)
     if value == inf:
         raise AnalysisError(
             f"no {k} of the sensors are independent of each other in every fold; ask for fewer or join short campaigns"
@@ -294,6 +297,7 @@ def _search(
     report: Callable[[float, float, float, float], None],
     budget_s: float | None,
     budget_nodes: int | None,
+    stop: Callable[[], bool] | None,
 ) -> tuple[list[int], float, float, int]:
     """Best subset, its score, the bound below all scores, and the number of subsets compared."""
     p = len(products.gram)
@@ -323,8 +327,10 @@ def _search(
             report(
                 1.0 - open_subsets / comb(p, k), value, min([value, *bounds[:1], bounds.min(initial=inf)]), elapsed_s
             )
-            spent = (budget_s is not None and elapsed_s >= budget_s) or (
-                budget_nodes is not None and worked >= budget_nodes
+            spent = (
+                (budget_s is not None and elapsed_s >= budget_s)
+                or (budget_nodes is not None and worked >= budget_nodes)
+                or (stop is not None and stop())
             )
             if spent:
                 break

@@ -8,6 +8,7 @@ from thetacomp.analysis_result import Analysis
 from thetacomp.report.figures_error import drift_over_time, error_over_position, geometry_curves
 from thetacomp.report.figures_fit import fit_over_temperature
 from thetacomp.report.figures_screening import screened_channels
+from thetacomp.report.figures_sensors import accuracy_over_sensors
 from thetacomp.report.figures_temperature import correlation_maps, temperatures_over_time
 from thetacomp.report.figures_validation import before_and_after, error_over_time
 from thetacomp.report.sketch import machine_sketch
@@ -21,6 +22,7 @@ FIGURES: tuple[Callable[[Analysis], list[NamedFigure]], ...] = (
     geometry_curves,
     drift_over_time,
     correlation_maps,
+    accuracy_over_sensors,
     fit_over_temperature,
     before_and_after,
     error_over_time,

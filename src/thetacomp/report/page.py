@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from thetacomp.analysis_result import Analysis
-from thetacomp.report import style, tables
+from thetacomp.report import comparison, style, tables
 from thetacomp.report.figures import all_figures
 from thetacomp.report.rendering import Rendered, inline_svg, missing_note, render
 
@@ -74,6 +74,9 @@ def render_page(
         campaigns=tables.campaign_lines(analysis),
         validation=tables.validation_tables(analysis),
         states=tables.state_tables(analysis),
+        compared=comparison.comparison_groups(analysis),
+        family_name=comparison.family_name,
+        thinning=comparison.thinning(analysis),
         notes=[
             note for note in dict.fromkeys([*analysis.notes, *analysis.model.notes, *remarks]) if note not in faulty
         ],
