@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_default_model import folder as slow_column
 from typer.testing import CliRunner
 
+from test_default_model import folder as slow_column
 from thetacomp.analysis import analyze_folder
 from thetacomp.campaign import Floats
 from thetacomp.cli.main import app

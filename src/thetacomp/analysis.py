@@ -84,8 +84,8 @@ def analyze_folder(
     fitted_paper = _fit_where_possible(training, paper)
     notes = mixed + _notes(campaigns, separations) + separated.notes + _dropped_notes(separations, everything)
     notes += screening.notes
+    progress("fitting heat history, and a fallback for every sensor")
     history = _fit_history(folder, separations, train, everything, training, test)
-    progress("making fallbacks for lost sensors")
     model = build_document(folder, fitted, METHOD, train, notes, _fallbacks(fitted, procedure), history)
     paper_model = build_document(folder, fitted_paper, "paper: one key sensor, least squares", train, notes)
     model, paper_model = (
