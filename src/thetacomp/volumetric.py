@@ -24,6 +24,7 @@ from thetacomp.prediction import Breach, Prediction, Reference, data_row, predic
 
 Bools = NDArray[np.bool_]
 ANGLES = ("A", "B", "C")
+NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,9 @@ def predict_volume(
     if turning.components:
         angle = _part(ask(turning, "", np.full(len(t_s), np.nan)))
         angle_slopes = {a.name: _part(ask(turning, a.name, metre[a.name])) for a in chain}
-    parts = ThermalParts(_part(seen[0]), slopes, angle, angle_slopes)
+    there_um = {a.name: _part(one).half_width for a, one in zip(chain, seen[1:], strict=True)}
+    reading_um = {a.name: _reading_um(plain, a.name) for a in chain}
+    parts = ThermalParts(_part(seen[0]), slopes, angle, angle_slopes, there_um, reading_um)
     error_um, half_um = volume_error(chain, parts, positions_mm, longer_mm)
     missing = np.any([one.missing for one in seen], axis=0)
     if follows_workpiece(model):
@@ -187,6 +190,14 @@ def _lean_text(model: ModelDocument, chain: tuple[ChainAxis, ...]) -> str:
 
 def _part(prediction: Prediction) -> Part:
     return Part(prediction.error_um, 0.5 * (prediction.upper_um - prediction.lower_um))
+
+
+def _reading_um(model: ModelDocument, axis: str) -> Floats:
+    """Half width (3,) of the scatter of one reading that the band of an axis holds; zero for a law on key points."""
+    out = np.zeros(3)
+    for component in model.history[axis].components.values() if axis in model.history else ():
+        out[CARTESIAN.index(component.direction)] = NORMAL_95 * component.noise_sd_um
+    return out
 
 
 def _angle_document(model: ModelDocument) -> ModelDocument:

@@ -12,8 +12,10 @@ Where no angles were measured, a longer tool is taken to lean with the guide of 
 spindle: its slopes hold the rotation of everything that carries it. The bending of ram and spindle is not in them.
 
 Uncertainty: the half widths of all parts are taken as independent and add as squares. The parts are fits of their own
-on different sweeps; what they share (the key sensors' own errors, the slopes that were taken off the drift) is not
-counted, and is small while the axes stand near P0 in the measuring sweeps.
+on different sweeps. The band of an axis on heat history is calibrated on measured points over its travel, so it holds
+the scatter of one reading: of all axes together that counts once. What the parts share (the key sensors' own errors,
+the slopes that were taken off the drift) is not counted, and is small while the axes stand near P0 in the measuring
+sweeps.
 """
 
 from __future__ import annotations
@@ -37,12 +39,18 @@ class Part:
 
 @dataclass(frozen=True)
 class ThermalParts:
-    """All terms of the joint form at n moments; `slopes` and `angle_slopes` by axis, angles only where measured."""
+    """All terms of the joint form at n moments; `slopes` and `angle_slopes` by axis, angles only where measured.
+
+    `there_um` holds by axis the half width (n, 3) of what it does at its own position. Where it is absent, the half
+    width of the slope grows with the arm. `reading_um` (3,) by axis is the scatter of one reading in it, as half width.
+    """
 
     drift: Part
     slopes: Mapping[str, Part]
     angle: Part | None = None
     angle_slopes: Mapping[str, Part] = field(default_factory=dict)
+    there_um: Mapping[str, Floats] = field(default_factory=dict)
+    reading_um: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def spindle_lean(chain: Sequence[ChainAxis]) -> ChainAxis | None:
@@ -61,17 +69,24 @@ def volume_error(
     """
     longer_m = np.asarray(longer_mm, dtype=np.float64) / 1000.0
     error_um, square = parts.drift.value.copy(), parts.drift.half_width**2
+    reading_um = [parts.reading_um.get(axis.name, np.zeros(3)) for axis in chain]
+    square = square + np.max(reading_um, axis=0) ** 2
     lean = spindle_lean(chain)
     if parts.angle is None and lean is None and np.any(longer_m):
         raise ValueError("no angles, and no axis along the spindle carries the tool: its length has no known effect")
-    for axis in chain:
+    for axis, own_um in zip(chain, reading_um, strict=True):
         part = parts.slopes[axis.name]
         arm_m = np.repeat(axis.arm_m(positions_mm[axis.name])[:, None], 3, axis=1)
         if parts.angle is None and lean is axis:
             across = np.abs(axis.direction) < 0.5
             arm_m[:, across] += (float(axis.direction @ TOOL) * longer_m)[:, None]
         error_um = error_um + part.value * arm_m
-        square = square + (part.half_width * arm_m) ** 2
+        half_um = part.half_width * np.abs(arm_m)
+        if axis.name in parts.there_um:
+            # A band that was calibrated over the travel does not shrink with the arm; only a longer tool widens it.
+            there_um = parts.there_um[axis.name]
+            half_um = np.where(longer_m[:, None] != 0, np.maximum(there_um, half_um), there_um)
+        square = square + np.maximum(half_um**2 - own_um**2, 0.0)
     tool_m = longer_m[:, None] * TOOL
     turns = [(parts.angle, np.ones(len(longer_m)), tool_m)] if parts.angle is not None else []
     arms_m = arms_behind_m(chain, positions_mm)

@@ -100,7 +100,7 @@ class HistoryComponent(Strict):
     """One error component on heat history: `E = Σ (intercept_j + slope_j (p - p0_mm) / 1000) (x_j - x_j,reference)`.
 
     One coefficient an input of the layout: `intercept_um` in µm, `slope_um_per_m` in µm/m per unit of the input
-    (None for drift). `prior_*` is the law on the plain rises of the layout's sensors that takes over where the model
+    (None for drift). `noise_sd_um` is the scatter of one reading, which `band` holds. `prior_*` is the law on the plain rises of the layout's sensors that takes over where the model
     is outside its border, per K. `band` is the 95 % band of E. `residual_um` and `held_out_um` as in Component.
     """
 
@@ -112,6 +112,7 @@ class HistoryComponent(Strict):
     band: Band
     residual_um: tuple[float, float]
     held_out_um: tuple[float, float, float] | None = None
+    noise_sd_um: float = 0.0
 
 
 class HistoryFallback(Strict):

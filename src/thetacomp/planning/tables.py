@@ -8,7 +8,9 @@ import json
 from collections.abc import Iterable, Sequence
 from datetime import timedelta
 
-from thetacomp.planning.foundation import FoundationTarget
+import numpy as np
+
+from thetacomp.planning.foundation import FoundationTarget, standard_um
 from thetacomp.planning.setup import Setup
 from thetacomp.planning.timetable import COLD_ROUNDS, Block, Timetable, moved_mm, sweep_span_s
 from thetacomp.planning.uncertainty import Reach
@@ -85,6 +87,30 @@ def points_csv(timetable: Timetable, targets: Sequence[FoundationTarget]) -> str
         )
     header = ["point", "kind", "round", "part", "t_s", "axis", "target", "direction"]
     return csv_text([*header, *(f"at_{name}_mm" for name in names), "x_mm", "y_mm", "z_mm"], rows)
+
+
+def tracker_points_csv(timetable: Timetable) -> str:
+    """The same readings as the table `tracker_points` of a campaign: it tells what the points of a tracker's file are.
+
+    The name in the tracker's file is `point`. `target` is the place that is read: a nest of the foundation, or an axis
+    with the number of its position. One station, so there is no column for it.
+    """
+    names = [axis.name for axis in timetable.setup.axes]
+    rows: list[list[Cell]] = [
+        [
+            f"{point.t_s:.1f}",
+            point.name,
+            f"{point.axis}_{point.target}" if point.axis else point.target,
+            point.axis,
+            f"{point.position_mm[point.axis]:.3f}" if point.axis else None,
+            _sign(point.direction),
+            point.round if point.axis else None,
+            *(f"{point.position_mm[name]:.3f}" if point.axis not in ("", name) else None for name in names),
+        ]
+        for point in timetable.points
+    ]
+    header = ["t_s", "point", "target", "axis", "position_mm", "direction", "run"]
+    return csv_text([*header, *(f"at_{name}_mm" for name in names)], rows)
 
 
 def _sign(direction: int) -> str:
@@ -182,6 +208,7 @@ def duty_csv(timetable: Timetable) -> str:
 def campaign_toml(timetable: Timetable) -> str:
     """Settings of the campaign as planned, each line saying what to correct after measuring."""
     options = timetable.setup.options
+    across_urad = tracker_angle_sd_urad(timetable)
     return (
         'datum = "campaign"\n'
         f"instrument = {_toml_text(options.instrument)}\n"
@@ -193,7 +220,22 @@ def campaign_toml(timetable: Timetable) -> str:
         "tool_length_mm = 0.0                  # from the spindle nose to the reflector: write the real one\n"
         f"reference_s = {timetable.reference_s:.0f}"
         f"                    # end of the cold block ({COLD_ROUNDS} rounds), as planned: write the real one\n"
+        "\n[tracker]        # only for tracker points: standard deviations of one point, from the stated uncertainty.\n"
+        "# Better: read one fixed target fifty times and write the scatter of its distance and angles.\n"
+        f"distance_sd_um = {options.tracker_u_um / 2.0!r}\n"
+        f"distance_sd_um_per_m = {options.tracker_u_um_per_m / 2.0!r}\n"
+        f"horizontal_sd_urad = {across_urad:.2f}\n"
+        f"vertical_sd_urad = {across_urad:.2f}\n"
+        'columns = ["target", "x", "y", "z"]   # cells of tracker*.txt in their order, like "collection", "t_s", "time"\n'
+        'unit = "mm"\n'
     )
+
+
+def tracker_angle_sd_urad(timetable: Timetable) -> float:
+    """The standard deviation of an angle that makes `(a + b d) / 2` across the beam at the mean distance d of the sweeps."""
+    setup = timetable.setup
+    distance_mm = np.mean([setup.distance_mm(setup.tool_mm(p.position_mm)) for p in timetable.points if p.axis])
+    return standard_um(setup, float(distance_mm)) / (float(distance_mm) / 1000.0)
 
 
 def _toml_text(text: str) -> str:

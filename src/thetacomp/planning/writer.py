@@ -61,6 +61,7 @@ def write_plan(plan: MeasuringPlan, machine_toml: bytes, out: Path) -> tuple[str
         PAGE: render_page(plan.timetable, plan.targets, plan.reached, [file.path for file in programs]),
         "timetable.csv": tables.timetable_csv(plan.timetable),
         "points.csv": tables.points_csv(plan.timetable, plan.targets),
+        "tracker_points.csv": tables.tracker_points_csv(plan.timetable),
         "uncertainty.csv": tables.uncertainty_csv(plan.reached),
         "foundation_targets.csv": tables.foundation_csv(plan.targets),
         "sensor_commissioning.csv": tables.sensors_csv(plan.timetable.setup),

@@ -97,6 +97,7 @@ def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Flo
             "prior_slope_um_per_m_per_K": slope_prior,
             "band": calibrate_band(_held_out(states, k, left_out_um)),
             "residual_um": (float(np.sqrt(np.mean(in_sample_um**2))), float(np.abs(in_sample_um).max())),
+            "noise_sd_um": float(np.sqrt(np.mean(samples.noise_sd_um**2))),
         }
     )
 

@@ -19,7 +19,8 @@ class RunPoints:
     """Thermal error of one component in one run, n points in K heated states; states count from 0 in order of time.
 
     `campaign` (K,) and `t_s` (K,) belong to the states. `intercept_um` and `slope_um_per_m`, each (n,), are the
-    uncompensated error expected from the temperatures at each point, NaN where none is known.
+    uncompensated error expected from the temperatures at each point, NaN where none is known. `zero_sd` is the
+    standard deviation (µm, µm/m) of the cold line that all states of a campaign are counted from.
     """
 
     state: Ints
@@ -31,6 +32,7 @@ class RunPoints:
     t_s: Floats
     intercept_um: Floats
     slope_um_per_m: Floats
+    zero_sd: tuple[float, float] = (0.0, 0.0)
 
     @property
     def expected_um(self) -> Floats:
@@ -111,6 +113,27 @@ def run_points(
         intercept_um=expected[0][rows],
         slope_um_per_m=expected[1][rows],
     )
+
+
+def zero_scatter(
+    separations: Sequence[ComponentSeparation], component: str, names: Sequence[str]
+) -> tuple[float, float]:
+    """Standard deviation (µm, µm/m) of the cold line of a component, over the named campaigns.
+
+    A heated state is one line less the mean of c cold ones, so `1 / (c + 1)` of its variance is that of the zero. Zero
+    where the separation states no standard errors.
+    """
+    intercept: list[float] = []
+    slope: list[float] = []
+    for s in separations:
+        if s.component != component or s.campaign not in names or s.cold.all():
+            continue
+        share = 1.0 / (np.count_nonzero(s.cold) + 1.0)
+        for found, se in ((intercept, s.intercept_se_um), (slope, s.slope_se_um_per_m)):
+            known = se[~s.cold & np.isfinite(se)]
+            if len(known):
+                found.append(share * float(np.mean(known**2)))
+    return float(np.sqrt(np.mean(intercept or [0.0]))), float(np.sqrt(np.mean(slope or [0.0])))
 
 
 def without_expectation(points: RunPoints) -> RunPoints:

@@ -7,8 +7,9 @@ compensation off the gain is 1 (or what the model is wrong by), with it on it is
 
 The rest of a state (a line: intercept and slope) is not independent from sweep to sweep: repeated runs are drawn with
 the same heat, a rest that follows a first-order autoregression of the same size, and the noise of the instrument. Its
-size is itself uncertain, which is drawn too (Student's t). Intervals are the observed value less the drawn deviations
-(basic bootstrap; Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 5.2.1).
+size is itself uncertain, which is drawn too (Student's t). All states of a campaign share the error of its cold zero.
+Intervals are the observed value less the drawn deviations (basic bootstrap; Davison and Hinkley, Bootstrap Methods and
+their Application, 1997, section 5.2.1).
 """
 
 from __future__ import annotations
@@ -88,6 +89,10 @@ def repeated_runs(fit: Fit, rng: np.random.Generator, draws: int) -> Floats:
             rest[:, k] = correlation * rest[:, k - 1] + np.sqrt(1.0 - correlation**2) * fresh
         else:
             rest[:, k] = fresh
+    first, own = np.unique(points.campaign, return_inverse=True)
+    # Every repeated run has a cold block of its own: its error stays in all states, and no rest of a state shows it.
+    zero = rng.standard_normal((draws, len(first), 2)) * points.zero_sd
+    rest = rest + zero[:, own]
     values = fit.explained_um + rest[:, points.state, 0] + rest[:, points.state, 1] * points.lever_m
     return np.asarray(values + points.noise_sd_um * rng.standard_normal(values.shape))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from thetacomp.verification.harm import harm_map
 from thetacomp.verification.lines import squareness, straightness
 from thetacomp.verification.pattern import fitted_pattern, model_pattern
 from thetacomp.verification.result import HarmMap, Share, StateLine, Verification
-from thetacomp.verification.runs import RunPoints, chosen, facts, run_points, without_expectation
+from thetacomp.verification.runs import RunPoints, chosen, facts, run_points, without_expectation, zero_scatter
 from thetacomp.verification.share import shares
 
 SEED = 20120951
@@ -129,7 +130,10 @@ def _pairs(
                 continue
             if not (pair[0].explained and pair[1].explained):
                 pair = without_expectation(pair[0]), without_expectation(pair[1])
-            pairs[component] = pair  # type: ignore[assignment]
+            pairs[component] = (
+                replace(pair[0], zero_sd=zero_scatter(separations, component, off)),
+                replace(pair[1], zero_sd=zero_scatter(separations, component, on)),
+            )
     if not pairs:
         raise AnalysisError("neither run holds heated states. Fix: measure sweeps after the cold block as well.")
     return pairs, notes
