@@ -11,14 +11,14 @@ import io
 import re
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulated_hall import INSTRUMENT, Stand, instrument_noise_mm
-from thetacomp.campaign import CARTESIAN, Campaign
+from thetacomp.campaign import Campaign
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.models.document import ModelDocument
 from thetacomp.planning.options import PlanOptions
@@ -196,9 +196,7 @@ def predicted_um(model: ModelDocument, path: Path, t_s: Floats, at_mm: Positions
         np.array([[float(row[s]) for s in MACHINE.sensor_ids] for row in log]),
     )
     columns = [c for c in work[0] if c != "t_s"]
-    duty = Duty(
-        np.array([float(r["t_s"]) for r in work]), {c: np.array([float(r[c]) for r in work]) for c in columns}
-    )
+    duty = Duty(np.array([float(r["t_s"]) for r in work]), {c: np.array([float(r[c]) for r in work]) for c in columns})
     reference_s = float(re.search(r"reference_s = (\d+)", (path / "campaign.toml").read_text("utf-8"))[1])
     made = predict_volume(model, heat, t_s, at_mm, reference=reference_s, duty=duty)
     return made if band else made.error_um
@@ -269,7 +267,9 @@ def machine_toml() -> str:
     """MACHINE as its file."""
     text = f'format = 1\n\n[machine]\nname = "{MACHINE.name}"\n'
     for axis in MACHINE.axes:
-        text += f'\n[[axes]]\nname = "{axis.name}"\ndirection = "{axis.direction}"\ntravel_mm = {list(axis.travel_mm)}\n'
+        text += (
+            f'\n[[axes]]\nname = "{axis.name}"\ndirection = "{axis.direction}"\ntravel_mm = {list(axis.travel_mm)}\n'
+        )
     for sensor in MACHINE.sensors:
         text += f'\n[[sensors]]\nid = "{sensor.id}"\nrole = "{sensor.role}"\nlocation = "{sensor.location}"\n'
         text += f'axis = "{sensor.axis}"\n' if sensor.axis else ""

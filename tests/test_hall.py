@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 from typer.testing import CliRunner
 
 from hall_chain import (
@@ -34,18 +31,15 @@ from hall_chain import (
 from thetacomp.campaign import MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.models.build import build_document
-from thetacomp.models.document import ModelDocument, load_model
+from thetacomp.models.document import ModelDocument
 from thetacomp.models.form import with_form
 from thetacomp.models.procedures import key_point_procedure
-from thetacomp.planning.writer import make_plan, write_plan
 from thetacomp.reading import check_folder, read_folder
 from thetacomp.separation import Separated, separate_all
 from thetacomp.states import axis_states
 from thetacomp.tracker.frame import nominal_mm
 from thetacomp.tracker.rigid import fit_rigid, point_covariance_um2
 from thetacomp.validation.calibrated import calibrated_history
-from thetacomp.verification.result import Verification
-from thetacomp.verification.verify import verify_folder
 
 TRAINING = ("2026-03-02", "2026-03-03", "2026-03-04", "2026-03-05")
 OFF, ON = "2026-03-20", "2026-03-21"

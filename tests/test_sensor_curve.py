@@ -21,11 +21,13 @@ from thetacomp.campaign import Campaign, CampaignSettings, Drift, Floats, Machin
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
 from thetacomp.keypoints.sensor_curve import campaign_summaries, enough, sensor_curve
+from thetacomp.keypoints.subset import best_subset
 from thetacomp.machine import Machine, Sensor
 from thetacomp.output import write_tables
 from thetacomp.report.figures_sensors import accuracy_over_sensors
 from thetacomp.separation import separate_all
 from thetacomp.states import AxisStates, axis_states
+from thetacomp.summary import summarise
 
 SENSORS = ("a", "b", "c", "d", "e")
 # The truth: DX follows a and d, DZ follows d alone; b is nearly a copy of a; c and e tell nothing.
@@ -156,6 +158,15 @@ def test_stopping_early_is_told() -> None:
     assert len(curve.points) < 4
     assert curve.shares is None
     assert any("stopped" in note for note in curve.notes)
+
+
+def test_a_stopped_search_gives_the_bound_below_what_it_found() -> None:
+    rng = np.random.default_rng(8)
+    names = [f"s{j}" for j in range(40)]
+    parts = [summarise(rng.normal(size=(60, 40)), rng.normal(size=(60, 1)), names, ["y"], f"c{k}") for k in range(3)]
+    found = best_subset(parts, 6, stop=lambda: True)
+    assert not found.proven
+    assert 0.0 <= found.bound < found.score
 
 
 def test_enough_is_the_fewest_within_five_percent() -> None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _EVERY_S = 2.0
 _WIDTH = 100
+_HOLD = "\N{NO-BREAK SPACE}"  # a sensor and its share stay on one line
 _SCORES = {
     "held_out": "each campaign left out in turn",
     "residual": "residual in-sample",
@@ -104,12 +105,13 @@ def _text(curve: SensorCurve) -> str:
         lines.append(f"Enough (within 5 % of the best): {curve.best}.")
     if curve.shares is not None:
         told = [
-            f"{name} {100.0 * share:.0f} %"
+            f"{name}{_HOLD}{100.0 * share:.0f}{_HOLD}%"
             for share, name in sorted(zip(curve.shares.share, curve.shares.sensors, strict=True), reverse=True)
             if share > 0.0
         ]
         head = f"Chosen among the best {curve.shares.count} in {curve.shares.draws} draws of the campaigns: "
-        lines += textwrap.wrap(head + ", ".join(told), _WIDTH, subsequent_indent="  ")
+        wrapped = textwrap.wrap(head + ", ".join(told), _WIDTH, subsequent_indent="  ")
+        lines += [line.replace(_HOLD, " ") for line in wrapped]
     lines += [textwrap.fill(f"Note: {note}", _WIDTH) for note in curve.notes]
     return "\n".join(lines)
 

@@ -59,8 +59,8 @@ def compare_families(
             left_out += [] if own else [family.name]
         if left_out:
             notes.append(
-                f"comparison of families, {label}: {', '.join(left_out)} left out: too few states or campaigns in a"
-                " fold; settings are chosen by holding out a campaign, so at least two must train"
+                f"comparison of families, {label}: {', '.join(left_out)} left out: no setting could be fitted, or"
+                " too few campaigns train in a fold; settings are chosen by holding out one of at least two"
             )
         if found:
             beside = _standing_rows(task, everything, history, standing, validation)

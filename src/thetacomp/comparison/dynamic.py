@@ -101,10 +101,19 @@ def fit_arx(courses: list[Course], target: int, na: int, nb: int, strength: floa
     return Arx(coef[:na], coef[na:].reshape(nb, -1))
 
 
+def _stable_arx(courses: list[Course], target: int, setting: tuple[int, int, float]) -> Arx:
+    """The model of one target; where it is not stable, one that says NaN, so that this setting is never chosen."""
+    try:
+        return fit_arx(courses, target, *setting)
+    except AnalysisError:
+        na, nb, _ = setting
+        return Arx(np.full(na, np.nan), np.full((nb, courses[0].x.shape[1]), np.nan))
+
+
 def _arx(table: Table, setting: tuple[int, int, float]) -> Forecast:
     step = step_h(table.rows)
     courses = [on_grid(table.rows, table.y, label, step) for label in np.unique(table.rows.campaign)]
-    models = [fit_arx(courses, target, *setting) for target in range(table.y.shape[1])]
+    models = [_stable_arx(courses, target, setting) for target in range(table.y.shape[1])]
     return lambda rows: run_campaigns(rows, step, models)
 
 
@@ -114,8 +123,12 @@ ARX = Family(
     tuple((na, nb, strength) for na in (1, 2) for nb in (1, 2) for strength in (1e-4, 1e-3, 1e-2)),
     one_by_one(_arx),
     sequential=True,
-    remark="input: its own past predictions, never a measured displacement",
+    remark="own past predictions",
 )
+
+
+SLOWEST = 1.0 / GRID
+"""Least a of a grey model: a memory as long as the longest campaign. At zero and below the model is not stable."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +155,7 @@ class Grey:
 
 
 def fit_grey(courses: list[Course], target: int, columns: tuple[int, ...], w: float) -> Grey:
-    """Least squares of the defining equation over all training campaigns; AnalysisError where it is not stable."""
+    """Least squares of the defining equation over all training campaigns, a at least SLOWEST."""
     design, wanted = [], []
     for course in courses:
         y = course.y[:, target]
@@ -155,11 +168,11 @@ def fit_grey(courses: list[Course], target: int, columns: tuple[int, ...], w: fl
         raise AnalysisError("too few steps for a grey model.")
     size = size_of(a)
     coef = np.linalg.lstsq(a / size, b, rcond=None)[0] / size
-    grey = Grey(columns, float(coef[0]), coef[1:], w)
-    # The running sum obeys Y_k (1 + a w) = Y_{k-1} (1 - a (1 - w)) + drive.
-    if not 1.0 + grey.a * w > 0.0 or abs(1.0 - grey.a * (1.0 - w)) >= 1.0 + grey.a * w:
-        raise AnalysisError("the grey model is not stable.")
-    return grey
+    if coef[0] < SLOWEST:
+        # Its running sum would grow without end; the slowest memory that a campaign can show is taken instead.
+        rest = np.linalg.lstsq(a[:, 1:] / size[1:], b - SLOWEST * a[:, 0], rcond=None)[0] / size[1:]
+        return Grey(columns, SLOWEST, rest, w)
+    return Grey(columns, float(coef[0]), coef[1:], w)
 
 
 def _grey(table: Table, setting: tuple[int, float]) -> Forecast:
@@ -179,5 +192,5 @@ GREY = Family(
     tuple((count, w) for count in range(1, 7) for w in (0.5, 1.0)),
     one_by_one(_grey),
     sequential=True,
-    remark="runs on its own running sum",
+    remark="own running sum",
 )

@@ -42,7 +42,7 @@ def _curve_figure(analysis: Analysis, curve: SensorCurve) -> style.NamedFigure:
 def _caption(analysis: Analysis, curve: SensorCurve) -> str:
     unproven = [str(point.count) for point in curve.points if not point.proven]
     proof = (
-        f"The search for {', '.join(unproven)} sensors was stopped early: a better set may exist there."
+        f"The search for {', '.join(unproven)} sensors was stopped early (open mark): a better set may exist there."
         if unproven
         else "Each set is proven: no other of the same size scores better."
     )
@@ -60,6 +60,8 @@ def _draw_curve(axes: Axes, curve: SensorCurve) -> None:
     held_out = [point.held_out_um for point in curve.points]
     axes.plot(counts, [p.residual_um for p in curve.points], "s--", color=style.FAINT, ms=5, label="in-sample")
     axes.plot(counts, held_out, "o-", color=style.BLUE, ms=6, label="campaigns left out")
+    for point in (p for p in curve.points if not p.proven):
+        axes.plot(point.count, point.held_out_um, "o", mfc="white", mec=style.BLUE, ms=6)
     best = next(point for point in curve.points if point.count == curve.best)
     axes.plot(best.count, best.held_out_um, "o", mfc="none", mec=style.VERMILLION, mew=1.6, ms=13, label="enough")
     labels = ["\n".join([str(p.count), *(style.short(name, 13) for name in p.sensors)]) for p in curve.points]
