@@ -6,7 +6,7 @@ targets, one sweep of X, Y and W out and back, and the foundation targets again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +60,6 @@ class Hall:
     truth_um: Floats
     reference_s: float
     settings: TrackerSettings = INSTRUMENT
-    rounds_s: tuple[float, ...] = field(default=())
 
     def errors(self):
         """The product's own way from tracker points to errors."""

@@ -230,7 +230,7 @@ def test_the_uncertainty_of_the_frame_counts_the_right_way():
 def test_isotropic_weights_are_measurably_worse(monkeypatch):
     """The same points, weighted by their mean variance in all directions."""
 
-    def wrong(anisotropic):
+    def wrong():
         out, inside = [], []
         for seed in range(25):
             seen = hall(seed, settings=ASKEW, rounds=4, targets=7)
@@ -243,9 +243,9 @@ def test_isotropic_weights_are_measurably_worse(monkeypatch):
         full = point_covariance_um2(points_mm, instrument)
         return np.einsum("nii->n", full)[:, None, None] / 3.0 * np.eye(3)
 
-    good, good_inside = wrong(True)
+    good, good_inside = wrong()
     monkeypatch.setattr(frame, "point_covariance_um2", isotropic)
-    bad, bad_inside = wrong(False)
+    bad, bad_inside = wrong()
     assert bad > 1.6 * good
     assert abs(good_inside - 0.95) < 0.02
     assert bad_inside < good_inside

@@ -277,14 +277,14 @@ def _together(
     for name in MEASURED:
         if name in tables:
             checks.covered(tables[name], tables[name].t_s(start_micros), heat, "the temperature table", problems)
-    over_position = [name for name in ("sweeps", "tracker", "parameters") if name in tables]
+    names = {"sweeps": "sweeps", "tracker": "tracker points", "parameters": "already separated parameters"}
+    over_position = [words for name, words in names.items() if name in tables]
     if len(over_position) > 1:
         problems.error(
             "two-sources",
             place,
-            f"the tables {' and '.join(over_position)} state the same errors: sweeps, tracker points, and already"
-            " separated parameters stand instead of each other.",
-            "keep one of them.",
+            f"there are {' and '.join(over_position)}.",
+            "keep one of them: they state the same errors and stand instead of each other.",
         )
     if not set(MEASURED) & {*tables, *unread}:
         problems.warning(
