@@ -1,4 +1,4 @@
-"""A plan measured in a simulated hall: the machine's heat follows its duty, a tracker that sinks reads the planned points.
+"""A plan measured in a simulated hall: heat follows the duty, and a tracker that sinks reads the planned points.
 
 Known truth for the whole chain plan -> measure -> analyze -> verify. What the machine does with heat is a lagged
 response of its duty, the temperatures are another; no formula of the analysis is used to make it.
@@ -114,7 +114,7 @@ def draw_machine(rng: np.random.Generator) -> HeatedMachine:
 
 @dataclass(frozen=True)
 class Day:
-    """One day's heat on a clock: duty (n, 4) as a share of full heat, true rises of the thermometers, and of the body."""
+    """One day's heat on a clock: duty (n, 4) as a share of full heat, true rises of thermometers and body."""
 
     clock_s: Floats
     duty: Floats

@@ -1,4 +1,4 @@
-"""The chain in a simulated hall: plan, measure what was planned, analyse, compensate, verify; every interval on trial."""
+"""The chain in a simulated hall: plan, measure as planned, analyse, compensate, verify; every interval on trial."""
 
 from __future__ import annotations
 

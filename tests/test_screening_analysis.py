@@ -66,10 +66,10 @@ def held_out_rms_um(result: Analysis, model: str = "default") -> float:
 def test_a_jump_of_a_key_sensor_hardly_changes_the_held_out_error() -> None:
     """The campaign with the jump is held out; the model that judges it uses the sensor that jumped."""
     well, mended, spoilt = analysis("healthy"), analysis("jump"), analysis("jump", repair=False)
-    for model in ("default", "one_sensor", "all_sensors", "heat_history"):
+    for model in ("default", "key_points", "one_sensor", "all_sensors"):
         assert held_out_rms_um(mended, model) == pytest.approx(held_out_rms_um(well, model), rel=0.05)
     assert held_out_rms_um(spoilt) > 20.0 * held_out_rms_um(well)
-    assert held_out_rms_um(spoilt) > held_out_rms_um(well, "nothing")
+    assert held_out_rms_um(spoilt, "key_points") > held_out_rms_um(well, "nothing")
 
 
 def test_training_with_the_faulty_campaign_gives_the_healthy_model() -> None:
