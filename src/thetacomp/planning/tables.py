@@ -232,7 +232,7 @@ def campaign_toml(timetable: Timetable) -> str:
 
 
 def tracker_angle_sd_urad(timetable: Timetable) -> float:
-    """The standard deviation of an angle that makes `(a + b d) / 2` across the beam at the mean distance d of the sweeps."""
+    """Standard deviation of an angle that is `(a + b d) / 2` across the beam at the mean distance d of the sweeps."""
     setup = timetable.setup
     distance_mm = np.mean([setup.distance_mm(setup.tool_mm(p.position_mm)) for p in timetable.points if p.axis])
     return standard_um(setup, float(distance_mm)) / (float(distance_mm) / 1000.0)
