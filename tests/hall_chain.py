@@ -273,6 +273,6 @@ def machine_toml() -> str:
     return text
 
 
-def draw_share(rng: np.random.Generator) -> dict[str, float]:
-    """A duty of its own: 40 to 100 % of each source."""
-    return {name: float(rng.uniform(0.4, 1.0)) for name in SOURCES}
+def draw_share(rng: np.random.Generator, low: float = 0.4) -> dict[str, float]:
+    """A duty of its own: `low` to 1 of each source."""
+    return {name: float(rng.uniform(low, 1.0)) for name in SOURCES}

@@ -76,22 +76,24 @@ class Hall:
         return read_folder(self.path)
 
 
-def hall(path: Path, plan: Path, seed: int, names: tuple[str, ...] = TRAINING, **options: object) -> Hall:
+def hall(
+    path: Path, plan: Path, seed: int, names: tuple[str, ...] = TRAINING, low: float = 0.4, **options: object
+) -> Hall:
     """Campaigns of different duty on one machine, with one plan."""
     path.mkdir(parents=True, exist_ok=True)
     (path / "machine.toml").write_text(machine_toml(), encoding="utf-8")
     rng = np.random.default_rng(seed)
     made = Hall(draw_machine(rng), {}, path)
     for name in names:
-        made.days[name] = make_day(made.machine, plan, draw_share(rng), rng)
+        made.days[name] = make_day(made.machine, plan, draw_share(rng, low), rng)
         measure(path, name, plan, made.machine, made.days[name], rng, **options)  # type: ignore[arg-type]
     return made
 
 
-def compensated(made: Hall, plan: Path, model: ModelDocument, seed: int) -> None:
+def compensated(made: Hall, plan: Path, model: ModelDocument, seed: int, low: float = 0.4) -> None:
     """A run off and a run on of one and the same duty, which was not trained."""
     rng = np.random.default_rng(10_000 + seed)
-    day = make_day(made.machine, plan, draw_share(rng), rng)
+    day = make_day(made.machine, plan, draw_share(rng, low), rng)
     for name, own in ((OFF, None), (ON, model)):
         made.days[name] = day
         measure(made.path, name, plan, made.machine, day, rng, model=own)
@@ -237,7 +239,7 @@ def test_a_common_offset_of_all_sensors_does_not_matter_for_a_model_on_rises(pla
 
 @pytest.mark.slow
 def test_the_chain_of_commands_ends_in_a_go(plan: Path, tmp_path: Path) -> None:
-    made = hall(tmp_path / "hall", plan, 1)
+    made = hall(tmp_path / "hall", plan, 1, low=0.75)
     checked = command("check", made.path)
     assert checked.exit_code == 0, checked.output
     assert "No problems found" in checked.output
@@ -255,7 +257,7 @@ def test_the_chain_of_commands_ends_in_a_go(plan: Path, tmp_path: Path) -> None:
     model = load_model(tmp_path / "results" / "model.json")
     assert model.form == "joint"
     assert set(model.history) == {"", "X", "Y", "W"}
-    compensated(made, plan, model, 1)
+    compensated(made, plan, model, 1, low=0.75)
     done = command(
         "verify", made.path, "--off", OFF, "--on", ON, "--model", tmp_path / "results" / "model.json",
         "--out", tmp_path / "verification", "--json",

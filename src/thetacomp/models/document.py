@@ -100,8 +100,9 @@ class HistoryComponent(Strict):
     """One error component on heat history: `E = Σ (intercept_j + slope_j (p - p0_mm) / 1000) (x_j - x_j,reference)`.
 
     One coefficient an input of the layout: `intercept_um` in µm, `slope_um_per_m` in µm/m per unit of the input
-    (None for drift). `noise_sd_um` is the scatter of one reading, which `band` holds. `prior_*` is the law on the plain rises of the layout's sensors that takes over where the model
-    is outside its border, per K. `band` is the 95 % band of E. `residual_um` and `held_out_um` as in Component.
+    (None for drift). `prior_*` is the law on the plain rises of the layout's sensors that takes over where the model
+    is outside its border, per K. `band` is the 95 % band of E; it holds the scatter `noise_sd_um` of one reading.
+    `residual_um` and `held_out_um` as in Component.
     """
 
     direction: Literal["X", "Y", "Z"]

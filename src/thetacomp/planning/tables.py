@@ -226,7 +226,7 @@ def campaign_toml(timetable: Timetable) -> str:
         f"distance_sd_um_per_m = {options.tracker_u_um_per_m / 2.0!r}\n"
         f"horizontal_sd_urad = {across_urad:.2f}\n"
         f"vertical_sd_urad = {across_urad:.2f}\n"
-        'columns = ["target", "x", "y", "z"]   # cells of tracker*.txt in their order, like "collection", "t_s", "time"\n'
+        'columns = ["target", "x", "y", "z"]   # cells of tracker*.txt in order; also "collection", "t_s", "time"\n'
         'unit = "mm"\n'
     )
 
