@@ -10,7 +10,7 @@ import csv
 import io
 import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulated_hall import INSTRUMENT, Stand, instrument_noise_mm
-from thetacomp.campaign import Campaign
+from thetacomp.campaign import Duty, Temperatures
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.models.document import ModelDocument
 from thetacomp.planning.options import PlanOptions
 from thetacomp.tracker.rigid import rotation_matrix
-from thetacomp.volumetric import predict_volume
+from thetacomp.volumetric import VolumePrediction, predict_volume
 
 Floats = NDArray[np.float64]
 Positions = Mapping[str, Floats]
@@ -114,7 +114,7 @@ def draw_machine(rng: np.random.Generator) -> HeatedMachine:
 
 @dataclass(frozen=True)
 class Day:
-    """One day's heat on a clock: duty (n, 4) as a share of full heat, true rises of thermometers and body."""
+    """One day's heat on a clock: duty (n, 4) as a share of full heat, and the lagged heat of sensors and body."""
 
     clock_s: Floats
     duty: Floats
@@ -156,11 +156,11 @@ def measure(
     model: ModelDocument | None = None,
     offset_K: float = OFFSET_K,
     sinking_um: float = SINKING_UM,
-    correction: Callable[[Campaign], Floats] | None = None,
+    strength: float = 1.0,
 ) -> Path:
     """Measure the planned points on one day and fill in the campaign's folder that the plan made.
 
-    With `model` the machine is corrected by minus its prediction, made from the temperatures that were read.
+    With `model` the machine is corrected by minus `strength` times its prediction, made from the temperatures read.
     """
     path = root / "campaigns" / name
     shutil.copytree(campaign_of(plan), path)
@@ -176,7 +176,7 @@ def measure(
     where = np.array([[float(row[f"{c}_mm"]) for c in "xyz"] for row in points])
     error = machine.geometry_um(at_mm) + machine.thermal_um(day, t_s, at_mm)
     if model is not None:
-        error -= predicted_um(model, path, t_s, at_mm)
+        error -= strength * predicted(model, path, t_s, at_mm).error_um
     where[moving] += 1e-3 * error[moving]
     seen = instrument_noise_mm(rng, _in_tracker(where, t_s / day.clock_s[-1], sinking_um), INSTRUMENT)
     order = np.argsort(t_s, kind="stable")
@@ -185,10 +185,8 @@ def measure(
     return path
 
 
-def predicted_um(model: ModelDocument, path: Path, t_s: Floats, at_mm: Positions, *, band: bool = False):
-    """What a compensator would predict from the temperatures of the run alone; (n, 3), or the whole prediction."""
-    from thetacomp.campaign import Duty, Temperatures
-
+def predicted(model: ModelDocument, path: Path, t_s: Floats, at_mm: Positions) -> VolumePrediction:
+    """What a compensator would predict from the temperatures of the run alone."""
     log, work = table(path / "temperatures.csv"), table(path / "duty.csv")
     heat = Temperatures(
         np.array([float(row["t_s"]) for row in log]),
@@ -198,8 +196,7 @@ def predicted_um(model: ModelDocument, path: Path, t_s: Floats, at_mm: Positions
     columns = [c for c in work[0] if c != "t_s"]
     duty = Duty(np.array([float(r["t_s"]) for r in work]), {c: np.array([float(r[c]) for r in work]) for c in columns})
     reference_s = float(re.search(r"reference_s = (\d+)", (path / "campaign.toml").read_text("utf-8"))[1])
-    made = predict_volume(model, heat, t_s, at_mm, reference=reference_s, duty=duty)
-    return made if band else made.error_um
+    return predict_volume(model, heat, t_s, at_mm, reference=reference_s, duty=duty)
 
 
 def write_temperatures(path: Path, day: Day, rng: np.random.Generator, offset_K: float) -> None:
@@ -276,6 +273,6 @@ def machine_toml() -> str:
     return text
 
 
-def draw_share(rng: np.random.Generator) -> dict[str, float]:
-    """A duty of its own: 40 to 100 % of each source."""
-    return {name: float(rng.uniform(0.4, 1.0)) for name in SOURCES}
+def draw_share(rng: np.random.Generator, low: float = 0.4) -> dict[str, float]:
+    """A duty of its own: `low` to 1 of each source."""
+    return {name: float(rng.uniform(low, 1.0)) for name in SOURCES}

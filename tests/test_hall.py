@@ -1,12 +1,16 @@
-"""The chain in a simulated hall: plan, measure as planned, analyse, compensate, verify; every interval on trial."""
+"""The chain in a simulated hall: plan, measure it, analyse, compensate, verify; every interval on trial."""
 
 from __future__ import annotations
 
+import json
+import re
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from typer.testing import CliRunner
 
 from hall_chain import (
@@ -25,13 +29,13 @@ from hall_chain import (
     machine_toml,
     make_day,
     measure,
-    predicted_um,
+    predicted,
     table,
 )
 from thetacomp.campaign import MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.models.build import build_document
-from thetacomp.models.document import ModelDocument
+from thetacomp.models.document import ModelDocument, load_model
 from thetacomp.models.form import with_form
 from thetacomp.models.procedures import key_point_procedure
 from thetacomp.reading import check_folder, read_folder
@@ -40,6 +44,8 @@ from thetacomp.states import axis_states
 from thetacomp.tracker.frame import nominal_mm
 from thetacomp.tracker.rigid import fit_rigid, point_covariance_um2
 from thetacomp.validation.calibrated import calibrated_history
+from thetacomp.verification.result import Verification
+from thetacomp.verification.verify import verify_folder
 
 TRAINING = ("2026-03-02", "2026-03-03", "2026-03-04", "2026-03-05")
 OFF, ON = "2026-03-20", "2026-03-21"
@@ -71,22 +77,24 @@ class Hall:
         return read_folder(self.path)
 
 
-def hall(path: Path, plan: Path, seed: int, names: tuple[str, ...] = TRAINING, **options: object) -> Hall:
+def hall(
+    path: Path, plan: Path, seed: int, names: tuple[str, ...] = TRAINING, low: float = 0.4, **options: object
+) -> Hall:
     """Campaigns of different duty on one machine, with one plan."""
     path.mkdir(parents=True, exist_ok=True)
     (path / "machine.toml").write_text(machine_toml(), encoding="utf-8")
     rng = np.random.default_rng(seed)
     made = Hall(draw_machine(rng), {}, path)
     for name in names:
-        made.days[name] = make_day(made.machine, plan, draw_share(rng), rng)
+        made.days[name] = make_day(made.machine, plan, draw_share(rng, low), rng)
         measure(path, name, plan, made.machine, made.days[name], rng, **options)  # type: ignore[arg-type]
     return made
 
 
-def compensated(made: Hall, plan: Path, model: ModelDocument, seed: int) -> None:
+def compensated(made: Hall, plan: Path, model: ModelDocument, seed: int, low: float = 0.4) -> None:
     """A run off and a run on of one and the same duty, which was not trained."""
     rng = np.random.default_rng(10_000 + seed)
-    day = make_day(made.machine, plan, draw_share(rng), rng)
+    day = make_day(made.machine, plan, draw_share(rng, low), rng)
     for name, own in ((OFF, None), (ON, model)):
         made.days[name] = day
         measure(made.path, name, plan, made.machine, day, rng, model=own)
@@ -216,12 +224,140 @@ def test_a_common_offset_of_all_sensors_does_not_matter_for_a_model_on_rises(pla
     day = make_day(made.machine, plan, draw_share(rng), rng)
     times = np.linspace(8000.0, day.clock_s[-1], 80)
     at = {axis.name: rng.uniform(*axis.travel_mm, 80) for axis in MACHINE.axes}
-    predicted = []
+    found = []
     for k, offset_K in enumerate((0.0, OFFSET_K)):
         path = measure(tmp_path / "new", str(k), plan, made.machine, day, np.random.default_rng(7), offset_K=offset_K)
         for model in models:
-            predicted.append(predicted_um(model, path, times, at))
-    assert np.abs(predicted[0]).max() > 50.0
+            found.append(predicted(model, path, times, at).error_um)
+    assert np.abs(found[0]).max() > 50.0
     # The border of validity knows absolute temperatures, so it fades a little earlier or later: 0.2 µm of 150.
-    for other in predicted[1:]:
-        assert other == pytest.approx(predicted[0], abs=0.5)
+    for other in found[1:]:
+        assert other == pytest.approx(found[0], abs=0.5)
+
+
+# --- the whole chain with the commands --------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_chain_of_commands_ends_in_a_go(plan: Path, tmp_path: Path) -> None:
+    made = hall(tmp_path / "hall", plan, 1, low=0.75)
+    checked = command("check", made.path)
+    assert checked.exit_code == 0, checked.output
+    assert "No problems found" in checked.output
+    assert checked.output.count("23 rounds of 4 foundation targets") == 4
+    analysed = command("analyze", made.path, "--out", tmp_path / "results")
+    # Four campaigns: whether the worst of twelve components holds 85 % of its held-out points is a matter of luck.
+    failed = re.findall(r"  - ([^:]+): (.*) \(must", analysed.output.partition("not fit for a control")[0])
+    assert analysed.exit_code == (3 if failed else 0), analysed.output
+    assert all("inside the 95 % interval" in check for _, check in failed), failed
+    assert "joint" in (tmp_path / "results" / "report.html").read_text("utf-8")
+    held_out = [row for row in table(tmp_path / "results" / "validation.csv") if row["model"] == "default"]
+    assert {row["component"] for row in held_out} >= {"EXX", "EYW", "DZ", "column_X"}
+    inside = [
+        float(row["coverage_percent"]) for row in held_out if row["campaign"] == "all" and row["coverage_percent"]
+    ]
+    assert np.mean(inside) > 90.0
+    # The file says what the library gives: intervals of the separation are tried there, with many seeds.
+    separated = table(tmp_path / "results" / "separation.csv")
+    assert len({row["component"] for row in separated}) == 12
+    assert all(float(row["slope_se_um_per_m"]) >= 0.0 for row in separated if row["component"].startswith("E"))
+
+    model = load_model(tmp_path / "results" / "model.json")
+    assert model.form == "joint"
+    assert set(model.history) == {"", "X", "Y", "W"}
+    compensated(made, plan, model, 1, low=0.75)
+    done = command(
+        "verify", made.path, "--off", OFF, "--on", ON, "--model", tmp_path / "results" / "model.json",
+        "--out", tmp_path / "verification", "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    verdict = json.loads(done.stdout)
+    assert verdict["go"] is True
+    assert verdict["causes"] == []
+    before_after = table(tmp_path / "verification" / "verification.csv")
+    largest = [row for row in before_after if row["statistic"] == "rms" and row["component"].startswith("E")]
+    assert all(float(row["like_reduction_percent"]) > 50.0 for row in largest)
+    # The same runs, the sign of the correction turned round: the no-go names the cause.
+    turned = made.path / "campaigns" / ON
+    shutil.rmtree(turned)
+    rng = np.random.default_rng(3)
+    measure(made.path, ON, plan, made.machine, made.days[ON], rng, model=model, strength=-1.0)
+    reversed_ = command(
+        "verify", made.path, "--off", OFF, "--on", ON, "--model", tmp_path / "results" / "model.json",
+        "--out", tmp_path / "reversed",
+    )  # fmt: skip
+    assert reversed_.exit_code == 3
+    assert "wrong sign" in reversed_.output
+
+
+# --- every stated interval on trial -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One hall from plan to verification."""
+
+    hall: Hall
+    separated: Separated
+    model: ModelDocument
+    verification: Verification
+
+
+def trial(path: Path, plan: Path, seed: int) -> Trial:
+    """Measure, fit, compensate, verify."""
+    made = hall(path, plan, seed)
+    separated, model = fitted(made.folder)
+    compensated(made, plan, model, seed)
+    return Trial(made, separated, model, verify_folder(made.folder, [OFF], [ON], model))
+
+
+def separation_inside(one: Trial) -> dict[str, list[np.ndarray]]:
+    """Whether the true drift and slope of every heated state lie inside the stated 95 % interval."""
+    inside: dict[str, list[np.ndarray]] = {"drift": [], "slope": []}
+    for s in one.separated.components:
+        hot, day, j = ~s.cold, one.hall.days[s.campaign], "XYZ".index(s.direction)
+        wide = stats.t.ppf(0.975, s.dof) if np.isfinite(s.dof) else 1.96
+        if s.axis is None:
+            middle = standing(len(s.t_s), W=P0_MM["W"])
+            error = s.intercept_um - one.hall.machine.thermal_um(day, s.t_s, middle)[:, j]
+            inside["drift"].append((np.abs(error) < wide * s.intercept_se_um)[hot])
+            continue
+        ends = [standing(len(s.t_s), **{s.axis: P0_MM[s.axis] + side}) for side in (-500.0, 500.0)]
+        low, high = (one.hall.machine.thermal_um(day, s.t_s, at)[:, j] for at in ends)
+        inside["slope"].append((np.abs(s.slope_um_per_m - (high - low)) < wide * s.slope_se_um_per_m)[hot])
+    return inside
+
+
+def band_inside(one: Trial) -> np.ndarray:
+    """Whether the true thermal error anywhere in the volume, on a day of another duty, lies inside the 95 % band."""
+    rng = np.random.default_rng(11)
+    day = one.hall.days[OFF]
+    times = rng.uniform(9000.0, day.clock_s[-1], 200)
+    at = {axis.name: rng.uniform(*axis.travel_mm, 200) for axis in MACHINE.axes}
+    found = predicted(one.model, one.hall.path / "campaigns" / OFF, times, at)
+    truth = one.hall.machine.thermal_um(day, times, at)
+    return (found.lower_um <= truth) & (truth <= found.upper_um)
+
+
+@pytest.mark.slow
+def test_pooled_coverage_of_every_stated_interval(plan: Path, tmp_path: Path) -> None:
+    """Asked for are 95 %. Campaigns and not rows are independent, so twenty halls scatter by about 1.5 %.
+
+    The share is covered more often: both runs have the same duty here, so what the model misses is the same in both and
+    cancels, while the bounds take it for new in every run.
+    """
+    pooled: dict[str, list[np.ndarray]] = {"drift": [], "slope": [], "band": [], "share": []}
+    go = 0
+    for seed in range(20):
+        one = trial(tmp_path / str(seed), plan, seed)
+        for key, parts in separation_inside(one).items():
+            pooled[key] += parts
+        pooled["band"].append(band_inside(one).ravel())
+        # What the machine got is exactly minus the prediction: the share is one.
+        pooled["share"].append(np.array([share.low <= 1.0 <= share.high for share in one.verification.shares]))
+        go += not one.verification.causes
+        shutil.rmtree(tmp_path / str(seed))
+    share = {key: float(np.mean(np.concatenate(parts))) for key, parts in pooled.items()}
+    assert all(0.92 < share[key] < 0.98 for key in ("drift", "slope", "band")), share
+    assert share["share"] >= 0.95
+    assert go == 20

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from thetacomp.verification.before_after import before_after, over_states
-from thetacomp.verification.runs import RunPoints
-from thetacomp.verification.share import ALL, classify, shares
+from thetacomp.verification.runs import RunPoints, zero_scatter
+from thetacomp.verification.share import ALL, INTERCEPT, classify, shares
 
 Floats = NDArray[np.float64]
 STATES, POINTS = 10, 7
@@ -59,6 +62,30 @@ def test_intervals_cover_the_truth(gain_on: float, correlation: float) -> None:
         share_hits += share.low <= 1.0 - gain_on <= share.high
     assert (hits / pairs >= 0.85).all(), hits
     assert share_hits / pairs >= 0.85
+
+
+def test_the_error_of_the_cold_zero_is_in_the_bounds() -> None:
+    """All sweeps of a run share the error of their zero, here 8 µm: no rest of a sweep shows it."""
+    rng = np.random.default_rng(5)
+    hits = {0.0: 0, 8.0: 0}
+    for _ in range(60):
+        runs = [replace(run, value_um=run.value_um + 8.0 * rng.standard_normal()) for run in _pair(rng, 0.1, 0.0)]
+        for known_um in hits:
+            off, on = (replace(run, zero_sd=(known_um, 0.0)) for run in runs)
+            share = next(s for s in shares("EXY", off, on, 5.0, rng) if s.part == INTERCEPT)
+            hits[known_um] += share.low <= 0.9 <= share.high
+    assert hits[8.0] >= 54
+    assert hits[0.0] < 48
+
+
+def test_the_scatter_of_the_zero_is_the_part_of_the_cold_sweeps() -> None:
+    """Two cold sweeps and heated ones of one quality: a third of the variance of a heated state is the zero's."""
+    cold = np.array([True, True, False, False])
+    se = np.array([0.0, 0.0, 3.0, 3.0])
+    one = SimpleNamespace(component="EXY", campaign="a", cold=cold, intercept_se_um=se, slope_se_um_per_m=2 * se)
+    found = zero_scatter([one], "EXY", ["a"])  # type: ignore[list-item]
+    assert found == pytest.approx((3.0 / np.sqrt(3.0), 6.0 / np.sqrt(3.0)))
+    assert zero_scatter([one], "EYX", ["a"]) == (0.0, 0.0)  # type: ignore[list-item]
 
 
 def _pair(rng: np.random.Generator, gain_on: float, correlation: float) -> tuple[RunPoints, RunPoints]:

@@ -75,6 +75,19 @@ def test_drift_counts_once_and_half_widths_add_as_squares() -> None:
     np.testing.assert_allclose(half, [[5.0, 1.0, 1.0]])
 
 
+def test_a_band_over_the_travel_does_not_shrink_with_the_arm_and_one_reading_counts_once() -> None:
+    """Two axes with bands of 5 µm, each with 3 µm from the scatter of one reading: √(16 + 16 + 9)."""
+    slopes = parts(slope_X=flat((0.0, 0.0, 0.0), (5.0, 0.0, 0.0)), slope_Y=flat((0.0, 0.0, 0.0), (5.0, 0.0, 0.0)))
+    five, three = np.array([[5.0, 0.0, 0.0]]), np.array([3.0, 0.0, 0.0])
+    given = replace(
+        slopes,
+        there_um={"X": five, "Y": five, "W": 0.0 * five},
+        reading_um={"X": three, "Y": three, "W": 0.0 * three},
+    )
+    _, half = volume_error(CHAIN, given, at(1010, 810, 400), np.array([0.0]))
+    np.testing.assert_allclose(half, [[np.sqrt(41.0), 0.0, 0.0]])
+
+
 def test_arms_are_made_of_the_axes_behind() -> None:
     arms = arms_behind_m(CHAIN, at(2000, 1000, 300))
     np.testing.assert_allclose(arms["X"], [[0.0, 0.2, -0.1]])

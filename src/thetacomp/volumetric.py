@@ -24,7 +24,6 @@ from thetacomp.prediction import Breach, Prediction, Reference, data_row, predic
 
 Bools = NDArray[np.bool_]
 ANGLES = ("A", "B", "C")
-NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -196,7 +195,7 @@ def _reading_um(model: ModelDocument, axis: str) -> Floats:
     """Half width (3,) of the scatter of one reading that the band of an axis holds; zero for a law on key points."""
     out = np.zeros(3)
     for component in model.history[axis].components.values() if axis in model.history else ():
-        out[CARTESIAN.index(component.direction)] = NORMAL_95 * component.noise_sd_um
+        out[CARTESIAN.index(component.direction)] = component.band.quantile * component.noise_sd_um
     return out
 
 

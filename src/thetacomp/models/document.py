@@ -101,7 +101,7 @@ class HistoryComponent(Strict):
 
     One coefficient an input of the layout: `intercept_um` in µm, `slope_um_per_m` in µm/m per unit of the input
     (None for drift). `prior_*` is the law on the plain rises of the layout's sensors that takes over where the model
-    is outside its border, per K. `band` is the 95 % band of E, which holds `noise_sd_um`, the scatter of one reading.
+    is outside its border, per K. `band` is the 95 % band of E; it holds the scatter `noise_sd_um` of one reading.
     `residual_um` and `held_out_um` as in Component.
     """
 

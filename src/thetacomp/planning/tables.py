@@ -226,13 +226,13 @@ def campaign_toml(timetable: Timetable) -> str:
         f"distance_sd_um_per_m = {options.tracker_u_um_per_m / 2.0!r}\n"
         f"horizontal_sd_urad = {across_urad:.2f}\n"
         f"vertical_sd_urad = {across_urad:.2f}\n"
-        'columns = ["target", "x", "y", "z"]   # cells of tracker*.txt in their order, like "collection", "time"\n'
+        'columns = ["target", "x", "y", "z"]   # cells of tracker*.txt in order; also "collection", "t_s", "time"\n'
         'unit = "mm"\n'
     )
 
 
 def tracker_angle_sd_urad(timetable: Timetable) -> float:
-    """Standard deviation of an angle that makes `(a + b d) / 2` across the beam at the mean distance d."""
+    """Standard deviation of an angle that is `(a + b d) / 2` across the beam at the mean distance d of the sweeps."""
     setup = timetable.setup
     distance_mm = np.mean([setup.distance_mm(setup.tool_mm(p.position_mm)) for p in timetable.points if p.axis])
     return standard_um(setup, float(distance_mm)) / (float(distance_mm) / 1000.0)

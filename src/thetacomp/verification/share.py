@@ -89,10 +89,10 @@ def repeated_runs(fit: Fit, rng: np.random.Generator, draws: int) -> Floats:
             rest[:, k] = correlation * rest[:, k - 1] + np.sqrt(1.0 - correlation**2) * fresh
         else:
             rest[:, k] = fresh
-    first, own = np.unique(points.campaign, return_inverse=True)
-    # Every repeated run has a cold block of its own: its error stays in all states, and no rest of a state shows it.
-    zero = rng.standard_normal((draws, len(first), 2)) * points.zero_sd
-    rest = rest + zero[:, own]
+    if any(points.zero_sd):
+        # Every repeated run has a cold block of its own: its error stays in all states, and no rest of one shows it.
+        first, own = np.unique(points.campaign, return_inverse=True)
+        rest += (rng.standard_normal((draws, len(first), 2)) * points.zero_sd)[:, own]
     values = fit.explained_um + rest[:, points.state, 0] + rest[:, points.state, 1] * points.lever_m
     return np.asarray(values + points.noise_sd_um * rng.standard_normal(values.shape))
 

@@ -124,16 +124,17 @@ def _pairs(
         )
         notes += told
         for k, component in enumerate(states.components):
-            before, after = run_points(states, k, off, patterns[k]), run_points(states, k, on, patterns[k])
-            if before is None or after is None:
+            found = run_points(states, k, off, patterns[k]), run_points(states, k, on, patterns[k])
+            if found[0] is None or found[1] is None:
                 notes.append(f"{component}: no heated state in one of the runs; it is not compared")
                 continue
-            if not (before.explained and after.explained):
-                before, after = without_expectation(before), without_expectation(after)
-            pairs[component] = (
-                replace(before, zero_sd=zero_scatter(separations, component, off)),
-                replace(after, zero_sd=zero_scatter(separations, component, on)),
+            pair = (
+                replace(found[0], zero_sd=zero_scatter(separations, component, off)),
+                replace(found[1], zero_sd=zero_scatter(separations, component, on)),
             )
+            if not (pair[0].explained and pair[1].explained):
+                pair = without_expectation(pair[0]), without_expectation(pair[1])
+            pairs[component] = pair
     if not pairs:
         raise AnalysisError("neither run holds heated states. Fix: measure sweeps after the cold block as well.")
     return pairs, notes
