@@ -172,7 +172,7 @@ def test_the_section_tracker_is_checked(tmp_path, seen):
 def test_sweeps_and_tracker_points_do_not_stand_together(tmp_path, seen):
     sweeps = "t_s,axis,position_mm,dX_um\n0,X,0,1\n10,X,1000,2\n20,X,4000,3\n"
     _, problems = problems_of(tmp_path, files(seen, **{f"{DAY}/sweeps.csv": sweeps}))
-    assert "there are sweeps and tracker points" in problems["two-sources"].message
+    assert "sweeps and tracker state the same errors" in problems["two-sources"].message
 
 
 @pytest.mark.parametrize(
@@ -334,9 +334,9 @@ def test_an_analysis_works_on_tracker_points_and_says_how_they_were_tied(tmp_pat
         temperatures = temperature_text(hall)
         texts[f"campaigns/{name}/temperatures.csv"] = temperatures
     result = analyze_folder(read_folder(write_files(tmp_path, texts)))
-    # the points name where the other axes stood: all axes are separated together, the drift apart
-    joint = {f"E{d}{a}" for d in "XYZ" for a in "XYW"} | {f"D{d}" for d in "XYZ"}
-    assert {s.component for s in result.separations} == joint
+    # The points say where the other axes stood: the joint form, with the drift as a component of its own.
+    expected = {f"E{d}{a}" for d in "XYZ" for a in "XYW"} | {"DX", "DY", "DZ"}
+    assert {s.component for s in result.separations} == expected
     notes = "\n".join(result.notes)
     assert "campaign 2026-03-09, tracker: station A: 12 rounds of 5 foundation targets, closure RMS" in notes
     assert "tracker: scale on the cold block" in notes
