@@ -237,3 +237,12 @@ def test_export_carries_the_law_on_key_temperatures_and_says_what_it_gives_away(
     assert f"EYY {static[0]:.1f} instead of {history.held_out_um[0]:.1f} µm" in out.output
     for sentence in analysis.model.failed_static_checks:
         assert sentence in out.output
+
+
+@pytest.mark.parametrize("shift_s", [-1e7, 1e7])
+def test_a_duty_table_of_another_clock_is_refused(analysis: Analysis, shift_s: float) -> None:
+    unseen = campaign(9)
+    assert unseen.duty is not None
+    other = replace(unseen.duty, t_s=unseen.duty.t_s + shift_s)
+    with pytest.raises(AnalysisError, match=r"duty: its rows run from .* same clock"):
+        predicted(analysis, replace(unseen, duty=other))

@@ -237,6 +237,7 @@ def history_law(
     _columns(temperatures, axis.layout.sensors)
     if not axis.layout.speed_powers:
         duty = None
+    _check_duty_clock(temperatures, duty)
     clock_s, inputs = recorded_inputs(axis.layout, [(temperatures, duty)])
     recorded = Temperatures(clock_s, tuple(str(j) for j in range(inputs.shape[1])), inputs)
     if reference == "model":
@@ -354,6 +355,18 @@ def _check_times(temperatures: Temperatures, positions: PositionTable, place: Ca
         raise AnalysisError(
             f"positions: all rows lie after the last temperature sample at t_s = {_plain(last_s)}."
             " Fix: bring both tables to the same clock, or let the temperatures go on longer."
+        )
+
+
+def _check_duty_clock(temperatures: Temperatures, duty: Duty | None) -> None:
+    """A duty table of another clock would look like one speed that never changes."""
+    if duty is None or not len(duty.t_s) or not len(temperatures.t_s):
+        return
+    if duty.t_s[-1] < temperatures.t_s[0] or duty.t_s[0] > temperatures.t_s[-1]:
+        raise AnalysisError(
+            f"duty: its rows run from t_s = {_plain(duty.t_s[0])} to {_plain(duty.t_s[-1])}, the temperatures from"
+            f" {_plain(temperatures.t_s[0])} to {_plain(temperatures.t_s[-1])}: they never meet."
+            " Fix: bring both tables to the same clock."
         )
 
 
