@@ -26,14 +26,14 @@ from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
-from thetacomp.validation.acceptance import KEY_POINTS, acceptance_checks, acceptance_of_static_law, in_words
+from thetacomp.validation.acceptance import KEY_POINTS, MAX_CLOCK_RATIO, acceptance_checks, acceptance_of_static_law, in_words
 from thetacomp.validation.calibrated import calibrated_history
 from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test, training_states
 from thetacomp.validation.joint_view import with_drift
 from thetacomp.validation.lost_sensors import with_fallbacks
 from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
-from thetacomp.validation.validate import Residuals, column_rows, held_out_residuals, held_out_states, rows_of
+from thetacomp.validation.validate import ALL_CAMPAIGNS, Residuals, column_rows, held_out_residuals, held_out_states, rows_of
 from thetacomp.validation.verdict import with_verdict
 
 SEED = 20120951
@@ -100,7 +100,7 @@ def analyze_folder(
     judged_rows = [row for row in rows if row.split != FORWARD]
     acceptance = acceptance_checks(judged, judged_rows, permutations, model)
     static = acceptance_of_static_law(judged, judged_rows, permutations, model) if model.history else ()
-    notes += fold_notes
+    notes += fold_notes + _clock_notes(judged_rows)
     model = with_verdict(model, judged_rows, _failed(acceptance), _failed(static), notes)
     curves = sensor_curves(training, progress)
     compared, compare_notes = (
@@ -302,6 +302,18 @@ def _fold_notes(states: AxisStates, folds: Sequence[Fold], procedure: Procedure,
         f"{label}: the stored model uses {', '.join(stored) or 'no sensor'}, but {count} of {len(folds)} folds chose"
         f" otherwise ({told}); the held-out figures judge the way of choosing, not this very set of sensors"
     ]
+
+
+def _clock_notes(rows: Sequence[ValidationRow]) -> tuple[str, ...]:
+    """Components in which the clock does about as well: the acceptance table judges an axis as a whole."""
+    pooled = {(r.component, r.model): r.rms_after_um for r in rows if r.campaign == ALL_CAMPAIGNS}
+    told = []
+    for (component, model), after_um in pooled.items():
+        clock_um = pooled.get((component, "clock"), float("nan"))
+        if model in ("default", KEY_POINTS) and after_um > MAX_CLOCK_RATIO * clock_um:
+            name = "the model" if model == "default" else "the law on key points"
+            told.append(f"{component}: {name} leaves {after_um:.1f} µm RMS held out, the clock alone {clock_um:.1f} µm")
+    return tuple(told)
 
 
 def _permutations(training: Sequence[AxisStates], procedure: Procedure) -> tuple[PermutationTest, ...]:

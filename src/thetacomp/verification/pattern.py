@@ -67,7 +67,7 @@ def model_pattern(
     for component, samples in zip(states.components, states.samples, strict=True):
         expected = _nothing(len(samples.value_um))
         known = model.components.get(component)
-        if known is None or not known.inputs:
+        if known is None or not (known.inputs or (known.axis or "") in model.history):
             notes.append(f"{component}: the model does not predict it; what remains of it is not the model's fault")
             out.append(expected)
             continue

@@ -37,6 +37,7 @@ SPECIAL: tuple[tuple[float, ShareKind], ...] = (
 # The model itself is never right to better than this: a share of 0.92 is no fault of the control.
 MARGIN = 0.1
 NEAR = 0.25
+SAME_HEAT = 0.1
 WIDEST = 1.0
 
 
@@ -129,11 +130,12 @@ def shares(
     for separate_parts in (False, True) if both else (False,):
         fits = split if separate_parts and split else (fit_run(off, False), fit_run(on, False))
         drawn = [_gains(fit, repeated_runs(fit, rng, draws)) - fit.gains for fit in fits]
+        transfer = _transfer(fits[0], fits[1])[:, None] * rng.standard_t(_freedom(*fits), draws)
         # What no share explains is judged with intercept and slope free, so that one reversed register is no riddle.
         rests = split or fits
         for k, part in enumerate(fits[0].parts):
             value = float(fits[0].gains[k] - fits[1].gains[k])
-            deviation = drawn[0][:, k] - drawn[1][:, k]
+            deviation = drawn[0][:, k] - drawn[1][:, k] + transfer[k]
             low, high = (value - float(np.percentile(deviation, q)) for q in reversed(LIMITS_PERCENT))
             if not enough_states(off, on):
                 low, high = -np.inf, np.inf
@@ -172,6 +174,39 @@ def classify(value: float, low: float, high: float) -> ShareKind:
 def _gains(fit: Fit, values: Floats) -> Floats:
     """Gains of many repeated runs, (draws, p), from values (draws, n)."""
     return np.asarray(values @ np.linalg.pinv(fit.design).T)
+
+
+def _transfer(off: Fit, on: Fit) -> Floats:
+    """Standard deviation of the shares (p,) from what the model is wrong by in one duty and not in the other.
+
+    The model's own miss cancels where both runs have the same heat. Else it is taken to be as large along the expected
+    error, where it hides in the gain, as it is across it, where it stands in the rest.
+    """
+    out = np.zeros(len(off.parts))
+    if _same_heat(off.points, on.points):
+        return out
+    for fit in (off, on):
+        size_um = np.sqrt(np.mean(fit.design**2, axis=0))
+        out += (fit.rest_um * _unflattered(fit) / np.maximum(size_um, 1e-9)) ** 2
+    return np.asarray(np.sqrt(out))
+
+
+def _freedom(*fits: Fit) -> float:
+    """How many independent states the rest of the shorter run holds, a first-order autoregression taken off."""
+    counts = []
+    for fit in fits:
+        correlation = _autocorrelation(fit)
+        counts.append(len(fit.rest) * (1.0 - correlation) / (1.0 + correlation) - len(fit.parts))
+    return max(min(counts), 1.0)
+
+
+def _same_heat(off: RunPoints, on: RunPoints) -> bool:
+    """True where the same points follow the same expected error, up to a common factor, to a tenth of its size."""
+    if len(off.expected_um) != len(on.expected_um):
+        return False
+    factor = float(off.expected_um @ on.expected_um) / max(float(on.expected_um @ on.expected_um), 1e-300)
+    difference = float(np.sqrt(np.mean((off.expected_um - factor * on.expected_um) ** 2)))
+    return difference <= SAME_HEAT * float(np.sqrt(np.mean(off.expected_um**2)))
 
 
 def _unflattered(fit: Fit) -> float:
