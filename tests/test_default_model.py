@@ -13,6 +13,7 @@ from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign, CampaignSettings, Duty, Floats, MachineFolder, SweepPoints, Temperatures
 from thetacomp.cli.main import app
+from thetacomp.compensation.switch import degraded
 from thetacomp.errors import AnalysisError, ModelFileError
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.models.document import load_model
@@ -246,3 +247,16 @@ def test_a_duty_table_of_another_clock_is_refused(analysis: Analysis, shift_s: f
     other = replace(unseen.duty, t_s=unseen.duty.t_s + shift_s)
     with pytest.raises(AnalysisError, match=r"duty: its rows run from .* same clock"):
         predicted(analysis, replace(unseen, duty=other))
+
+
+def test_the_cost_of_leaving_heat_history_counts_from_heat_history(analysis: Analysis) -> None:
+    """The law on key temperatures takes over: the full error told is that of the model that was in use."""
+    model, axis = analysis.model, analysis.model.history["Y"]
+    lost = model.fallbacks[0].lost
+    kept = tuple(fallback for fallback in axis.fallbacks if fallback.lost != lost)
+    rest = degraded(model.model_copy(update={"history": {"Y": axis.model_copy(update={"fallbacks": kept})}}), {lost})
+    told = rest.replaced["EYY"]
+    assert "Y" not in rest.model.history
+    assert told is not None
+    assert told.full_rms_um == kept[0].accuracy["EYY"].full_rms_um
+    assert told.without_rms_um == model.fallbacks[0].accuracy["EYY"].without_rms_um

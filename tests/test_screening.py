@@ -148,6 +148,19 @@ def test_a_drop_out_is_bridged_and_the_sensor_believed_again(absent: float) -> N
     assert result.believed[healthy().t_s > START_S + HOUR_S + 60.0].all()
 
 
+def test_one_missing_sample_is_no_fault_and_lies_between_its_neighbours() -> None:
+    """A logger that drops single samples: nothing is found, and the line between the neighbours stands in."""
+    table = replace(healthy(), t_s=healthy().t_s[::2], value_degC=healthy().value_degC[::2].copy())
+    sampled = fit_screening([replace(c, t_s=c.t_s[::2], value_degC=c.value_degC[::2]) for c in campaigns()[:4]])
+    at = len(table.t_s) // 2
+    neighbours = column(table)[[at - 1, at + 1]]
+    column(table)[at] = np.nan
+    result = screen(sampled, table)
+    assert [f.kind for f in result.findings] == []
+    assert column(result.repaired)[at] == pytest.approx(neighbours.mean(), abs=1e-9)
+    assert not result.believed[at, table.sensor_ids.index(SENSOR)]
+
+
 def test_two_faulty_sensors_at_different_times() -> None:
     faulty = with_fault(healthy(), SENSOR, "jump", START_S, size_K=31.0)
     faulty = with_fault(faulty, "theta_6", "drift", START_S + HOUR_S, rate_K_per_h=1.0)

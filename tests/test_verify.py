@@ -19,6 +19,7 @@ from thetacomp.campaign import Floats
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
 from thetacomp.reading import read_folder
+from thetacomp.sheets.figures_verification import over_time
 from thetacomp.verification import Verification, verify_folder
 from thetacomp.verification.lines import END_POINTS, LEAST_SQUARES, straightness_um
 from verification_runs import LAW, Run, true_model, write_folder
@@ -349,6 +350,18 @@ def test_the_command_ends_with_zero_for_a_go_and_writes_tables(folder: Path, tmp
 
 
 @pytest.mark.needs("chromium")
+def test_the_figure_over_time_shows_every_point_of_both_columns(verified: dict[str, Verification]) -> None:
+    good = verified["good"]
+    for larger in ("column_X", "column_Z"):
+        lines = [
+            replace(line, largest_um=10.0 * line.largest_um) if line.component == larger else line
+            for line in good.states_off
+        ]
+        for axes in over_time(replace(good, states_off=tuple(lines))).figure.axes:
+            drawn_um = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
+            assert axes.get_ylim()[1] >= np.nanmax(drawn_um)
+
+
 def test_the_page_is_one_sheet_of_paper(folder: Path, tmp_path: Path) -> None:
     run_command(folder, "hidden", tmp_path)  # the run with the longest words
     sheet = tmp_path / "page.pdf"

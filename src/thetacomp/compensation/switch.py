@@ -76,13 +76,20 @@ def degraded(model: ModelDocument, lost: Collection[str]) -> Degraded:
             best = min(ready, key=lambda fallback: fallback.accuracy[name].without_rms_um)
             components[name] = best.components[name]
             if (component.axis or "") not in history:
-                replaced[name] = best.accuracy[name]
+                replaced[name] = _against_history(model, name, best.accuracy[name])
         elif (component.axis or "") in history:
             components[name] = component
         else:
             ended.append(name)
     left = {"components": components, "history": history}
     return Degraded(model.model_copy(update=left), replaced, tuple(ended))
+
+
+def _against_history(model: ModelDocument, name: str, accuracy: Accuracy) -> Accuracy:
+    """The accuracy against what was in use: an axis that falls back from heat history loses more than a key sensor."""
+    axis = model.history.get(model.components[name].axis or "")
+    told = [f.accuracy[name] for f in axis.fallbacks if name in f.accuracy] if axis else []
+    return accuracy.model_copy(update={"full_rms_um": told[0].full_rms_um}) if told else accuracy
 
 
 def _without(model: ModelDocument, lost: Collection[str]) -> tuple[dict[str, HistoryAxis], dict[str, Accuracy | None]]:

@@ -82,6 +82,8 @@ def screen(model: ScreeningModel, temperatures: Temperatures) -> Screening:
             "the temperatures to screen have other sensors, or another order, than the training:"
             f" {', '.join(temperatures.sensor_ids)} instead of {', '.join(model.sensor_ids)}"
         )
+    read = np.isfinite(temperatures.value_degC)
+    temperatures = _without_dropouts(temperatures)
     detector = Detector(model)
     for t_s, value in zip(temperatures.t_s, temperatures.value_degC, strict=True):
         detector.update(float(t_s), value)
@@ -89,6 +91,7 @@ def screen(model: ScreeningModel, temperatures: Temperatures) -> Screening:
     events = detector.follower.events
     events += [e for e in sample_spikes(model, temperatures) if not any(_within(e, other) for other in events)]
     mended, believed = repaired(model, temperatures, [e for e in events if e.kind != "unexplained"])
+    believed &= read
     until_s = float(temperatures.t_s[-1])
     findings = []
     for event in sorted(events, key=lambda e: e.onset_s):
@@ -101,6 +104,19 @@ def screen(model: ScreeningModel, temperatures: Temperatures) -> Screening:
         findings.append(finding(model, event, together - {event.j}, until_s))
     lost = tuple((f.sensor, f.start_s) for f in findings if f.repair == "lost")
     return Screening(tuple(findings), mended, believed, lost, model.limits())
+
+
+def _without_dropouts(table: Temperatures) -> Temperatures:
+    """One missing sample between two readings is no fault: the line between them is nearer than any other sensor."""
+    value = table.value_degC.copy()
+    read = np.isfinite(value)
+    step_s = np.diff(table.t_s)
+    near = step_s <= 1.5 * np.median(step_s) if len(step_s) else np.zeros(0, dtype=np.bool_)
+    lone = np.zeros(value.shape, dtype=np.bool_)
+    lone[1:-1] = ~read[1:-1] & read[:-2] & read[2:] & (near[:-1] & near[1:])[:, None]
+    for j in np.flatnonzero(lone.any(axis=0)):
+        value[lone[:, j], j] = np.interp(table.t_s[lone[:, j]], table.t_s[read[:, j]], value[read[:, j], j])
+    return replace(table, value_degC=value)
 
 
 def _within(spike: Event, other: Event) -> bool:

@@ -42,7 +42,8 @@ def over_time(result: Verification) -> style.NamedFigure:
         axes.plot(*_sorted(on, on.largest_um), "o-", color=style.BLUE, ms=3.0, lw=1.4)
         axes.set_title(component_name(name))
         axes.set_xlabel("time (h)")
-        axes.set_ylim(bottom=0.0)
+    # After all lines: a limit set earlier holds the shared scale at the first column's, and cuts the second off.
+    grid[0].set_ylim(bottom=0.0)
     grid[0].set_ylabel("largest |error| (µm)")
     handles = [
         Line2D([], [], color=style.BEFORE, marker="o", ms=3, label="off, measured"),
