@@ -26,14 +26,27 @@ from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
-from thetacomp.validation.acceptance import KEY_POINTS, MAX_CLOCK_RATIO, acceptance_checks, acceptance_of_static_law, in_words
+from thetacomp.validation.acceptance import (
+    KEY_POINTS,
+    MAX_CLOCK_RATIO,
+    acceptance_checks,
+    acceptance_of_static_law,
+    in_words,
+)
 from thetacomp.validation.calibrated import calibrated_history
 from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test, training_states
 from thetacomp.validation.joint_view import with_drift
 from thetacomp.validation.lost_sensors import with_fallbacks
 from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
-from thetacomp.validation.validate import ALL_CAMPAIGNS, Residuals, column_rows, held_out_residuals, held_out_states, rows_of
+from thetacomp.validation.validate import (
+    ALL_CAMPAIGNS,
+    Residuals,
+    column_rows,
+    held_out_residuals,
+    held_out_states,
+    rows_of,
+)
 from thetacomp.validation.verdict import with_verdict
 
 SEED = 20120951
