@@ -11,30 +11,23 @@ import pytest
 from thetacomp.analysis import analyze_folder
 from thetacomp.campaign import Temperatures
 from thetacomp.models.document import ModelDocument
-from thetacomp.prediction import predict
-from thetacomp.reading import Positions, read_folder
-from thetacomp.twin.campaigns import Correction, Twin, plan_campaigns, run_campaign
+from thetacomp.reading import read_folder
+from thetacomp.trial.training import spindle_duty
+from thetacomp.twin.campaigns import Correction, Record, Twin, plan_campaigns, run_campaign
 from thetacomp.twin.mesh import Floats
 from thetacomp.twin.writer import write_campaign, write_twin
 from thetacomp.verification import verify_folder
+from thetacomp.volumetric import predict_volume
 
 
-def from_model(model: ModelDocument, sensors: tuple[str, ...], reference_s: float, sign: float) -> Correction:
-    """The drift of each direction from the sweep along Y, once, and the slopes of all axes."""
-    p0_mm = {axis.name: float(np.mean(axis.travel_mm)) for axis in model.axes}
+def from_model(model: ModelDocument, sensors: tuple[str, ...], free: Record, sign: float) -> Correction:
+    """What the stored model in the joint form says at the positions of all axes; `free` is the run without it."""
+    duty = spindle_duty(free.work, free.temperature_t_s, free.temperature_t_s)
 
     def correction(t_read: Floats, reading: Floats, t_s: Floats, positions: Mapping[str, Floats]) -> Floats:
         table = Temperatures(t_read, sensors, reading)
-
-        def error(axis: str, at_mm: Floats) -> Floats:
-            asked = Positions(t_s=t_s, axis=(axis,) * len(t_s), position_mm=at_mm)
-            return np.nan_to_num(predict(model, table, asked, reference_s).error_um)
-
-        middle = {name: np.full(len(t_s), p) for name, p in p0_mm.items()}
-        total = error("Y", middle["Y"])
-        for name in p0_mm:
-            total = total + error(name, positions[name]) - error(name, middle[name])
-        return np.asarray(-sign * total)
+        found = predict_volume(model, table, t_s, dict(positions), reference=free.reference_s, duty=duty)
+        return np.asarray(-sign * np.nan_to_num(found.error_um))
 
     return correction
 
@@ -44,12 +37,12 @@ def from_model(model: ModelDocument, sensors: tuple[str, ...], reference_s: floa
 def test_a_compensated_virtual_machine_is_verified(twin: Twin, tmp_path: Path) -> None:
     folder = tmp_path / "machine"
     plans = plan_campaigns(twin, 4)
-    records = write_twin(folder, twin, plans[:3])
+    write_twin(folder, twin, plans[:3])
     model = analyze_folder(read_folder(folder)).model
     sensors = tuple(s.id for s in twin.sensors)
-    reference_s = records[0].reference_s
+    free = run_campaign(twin, plans[3])
     for name, sign in (("right", 1.0), ("wrong", -1.0)):
-        record = run_campaign(twin, plans[3], from_model(model, sensors, reference_s, sign))
+        record = run_campaign(twin, plans[3], from_model(model, sensors, free, sign))
         write_campaign(folder / "campaigns" / name, twin, record, compensation="on")
     read = read_folder(folder)
     off = [plan.name for plan in plans[:3]]
@@ -64,4 +57,5 @@ def test_a_compensated_virtual_machine_is_verified(twin: Twin, tmp_path: Path) -
     assert largest.value == pytest.approx(1.0, abs=0.25)
     assert not wrong.go
     assert [cause.kind for cause in wrong.causes] == ["reversed"]
-    assert wrong.causes[0].text.startswith("all ")
+    # The small errors in X cannot be told apart from what the model is wrong by in this duty; the large ones are named.
+    assert {"EYY", "EZY", "EYW", "EZW", "DY", "DZ"} <= set(wrong.causes[0].components)
