@@ -172,7 +172,7 @@ def test_the_section_tracker_is_checked(tmp_path, seen):
 def test_sweeps_and_tracker_points_do_not_stand_together(tmp_path, seen):
     sweeps = "t_s,axis,position_mm,dX_um\n0,X,0,1\n10,X,1000,2\n20,X,4000,3\n"
     _, problems = problems_of(tmp_path, files(seen, **{f"{DAY}/sweeps.csv": sweeps}))
-    assert "sweeps and tracker state the same errors" in problems["two-sources"].message
+    assert "there are sweeps and tracker points" in problems["two-sources"].message
 
 
 @pytest.mark.parametrize(
