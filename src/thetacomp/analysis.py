@@ -27,6 +27,7 @@ from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
 from thetacomp.validation.acceptance import (
+    DEFAULT,
     KEY_POINTS,
     MAX_CLOCK_RATIO,
     acceptance_checks,
@@ -247,15 +248,10 @@ def _validate(
     notes: list[str] = []
     stored = {model.axis: model.inputs for _, model in fitted}
     for states in everything:
-        procedures: dict[str, AnyProcedure] = {
-            "default": calibrated_history if states.axis in history else procedure,
-            KEY_POINTS: procedure,
-            "clock": clock,
-            "one_sensor": paper,
-            "all_sensors": all_sensors,
-        }
-        if states.axis not in history:
-            del procedures[KEY_POINTS]
+        procedures: dict[str, AnyProcedure] = {DEFAULT: procedure}
+        if states.axis in history:
+            procedures = {DEFAULT: calibrated_history, KEY_POINTS: procedure}
+        procedures |= {"clock": clock, "one_sensor": paper, "all_sensors": all_sensors}
         if folder.campaign(states.campaigns[0]).settings.datum == "common":
             procedures["training_mean"] = training_mean
         split, folds = "test" if test else hold_out(states)[0], _main_folds(states, test)
@@ -270,7 +266,7 @@ def _validate(
         for item in own:
             rows += rows_of(item, states.campaigns)
         rows += column_rows(judged, own, cartesian)
-        by_state += held_out_states(states, [item for item in own if item.split != FORWARD], "default")
+        by_state += held_out_states(states, [item for item in own if item.split != FORWARD], DEFAULT)
         residuals += own
     return residuals, tuple(rows), tuple(by_state), tuple(notes)
 
@@ -293,7 +289,7 @@ def _compare(
         AxisTask(s, "test" if test else hold_out(s)[0], _main_folds(s, test), cartesian.get(s.axis, ""))
         for s in everything
     ]
-    standing: dict[str, AnyProcedure] = {"default": calibrated_history, KEY_POINTS: procedure}
+    standing: dict[str, AnyProcedure] = {DEFAULT: calibrated_history, KEY_POINTS: procedure}
     return compare_families(tasks, everything, history, standing, rows, progress, FAMILIES)
 
 
@@ -323,8 +319,8 @@ def _clock_notes(rows: Sequence[ValidationRow]) -> tuple[str, ...]:
     told = []
     for (component, model), after_um in pooled.items():
         clock_um = pooled.get((component, "clock"), float("nan"))
-        if model in ("default", KEY_POINTS) and after_um > MAX_CLOCK_RATIO * clock_um:
-            name = "the model" if model == "default" else "the law on key points"
+        if model in (DEFAULT, KEY_POINTS) and after_um > MAX_CLOCK_RATIO * clock_um:
+            name = "the model" if model == DEFAULT else "the law on key points"
             told.append(f"{component}: {name} leaves {after_um:.1f} µm RMS held out, the clock alone {clock_um:.1f} µm")
     return tuple(told)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
+from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, progress_lines, run
 
 if TYPE_CHECKING:
     from thetacomp.analysis_result import Analysis
@@ -44,10 +44,7 @@ def analyze(
         from thetacomp.reading import read_folder
         from thetacomp.report import write_report
 
-        def progress(message: str) -> None:
-            if not as_json:
-                typer.echo(f"… {message}", err=True)
-
+        progress = progress_lines(as_json)
         progress("reading")
         analysis = analyze_folder(read_folder(folder), train or (), test or (), progress, not no_repair, mix, compare)
         paths = write_tables(analysis, out)

@@ -35,6 +35,16 @@ class Outcome:
     exit_code: int = DONE
 
 
+def progress_lines(as_json: bool) -> Callable[[str], None]:
+    """What a long command calls with one line a step; silent where a script reads the output."""
+
+    def tell(message: str) -> None:
+        if not as_json:
+            typer.echo(f"… {message}", err=True)
+
+    return tell
+
+
 def run(work: Callable[[], Outcome], as_json: bool) -> None:
     """Run the body of a command, print its outcome, and leave with its exit code."""
     # Windows consoles often default to a code page that has no µ or θ.

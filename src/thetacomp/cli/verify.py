@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
+from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, progress_lines, run
 
 if TYPE_CHECKING:
     from thetacomp.verification import Verification
@@ -32,10 +32,7 @@ def verify(
         from thetacomp.sheets.verification import write_verification
         from thetacomp.verification import verify_folder
 
-        def progress(message: str) -> None:
-            if not as_json:
-                typer.echo(f"… {message}", err=True)
-
+        progress = progress_lines(as_json)
         progress("reading")
         loaded = load_model(model) if model is not None else None
         result = verify_folder(read_folder(folder), off, on, loaded, progress)

@@ -17,7 +17,7 @@ from thetacomp.states import AxisStates
 from thetacomp.validation.folds import Fold
 from thetacomp.validation.joint_view import with_drift
 from thetacomp.validation.result import ValidationRow
-from thetacomp.validation.validate import ALL_CAMPAIGNS, NOTHING, column_rows, held_out_residuals, rows_of
+from thetacomp.validation.validate import NOTHING, column_rows, held_out_residuals, pooled, rows_of
 
 KEY_POINTS, DEFAULT, CLOCK = "key_points", "default", "clock"
 
@@ -98,7 +98,7 @@ def _family_rows(task: AxisTask, everything: Sequence[AxisStates], family: Famil
     described = f"{inputs}; {family.remark}" if family.remark else inputs
     return [
         _row(row, family.name, COMPARISON_ONLY, described, watched.scored, family.max_rows, watched.seconds)
-        for row in _pooled(rows)
+        for row in pooled(rows)
     ]
 
 
@@ -134,14 +134,8 @@ def _standing_rows(
         rows = [
             row for row in validation if row.split == task.split and row.model == source and row.component in components
         ]
-        out += [_row(row, name, use, inputs, count, 0, watched.seconds) for row in _pooled(rows)]
+        out += [_row(row, name, use, inputs, count, 0, watched.seconds) for row in pooled(rows)]
     return out
-
-
-def _pooled(rows: Sequence[ValidationRow]) -> list[ValidationRow]:
-    """Of each component the row over all campaigns, or those of its campaigns where there is none."""
-    over_all = {row.component for row in rows if row.campaign == ALL_CAMPAIGNS}
-    return [row for row in rows if row.campaign == ALL_CAMPAIGNS or row.component not in over_all]
 
 
 def _row(

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from thetacomp.analysis_result import Analysis
 from thetacomp.comparison.result import ComparisonRow
 from thetacomp.report import style
-from thetacomp.report.tables import POOLED, component_name
+from thetacomp.report.tables import component_name
+from thetacomp.validation.validate import ALL_CAMPAIGNS
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ def comparison_groups(analysis: Analysis) -> list[ComparisonGroup]:
     groups = []
     for component, campaign in keys:
         rows = tuple(r for r in analysis.comparison if (r.component, r.campaign) == (component, campaign))
-        label = "all campaigns" if campaign == POOLED else campaign
+        label = "all campaigns" if campaign == ALL_CAMPAIGNS else campaign
         least = min(row.rms_after_um for row in rows)
         groups.append(ComparisonGroup(component_name(component), label, rows, least))
     return groups

@@ -14,8 +14,9 @@ from thetacomp.analysis_result import Analysis
 from thetacomp.report import style
 from thetacomp.report.figures_error import in_order_of_axes
 from thetacomp.report.style import CAMPAIGN_LINES, CAMPAIGN_MARKS, HOUR_S
-from thetacomp.report.tables import POOLED, component_name, pooled, split_words
+from thetacomp.report.tables import component_name, split_words
 from thetacomp.validation.result import HeldOutStates, ValidationRow
+from thetacomp.validation.validate import ALL_CAMPAIGNS, pooled
 
 _MOST_TIME_PANELS = 24
 _DRAWN_MODELS = ("default", "clock", "one_sensor", "paper")
@@ -55,7 +56,7 @@ def before_and_after(analysis: Analysis) -> list[style.NamedFigure]:
             caption += " The scale is logarithmic: equal distances are equal ratios."
         if any(min(values, default=1.0) <= _LEAST_UM for values in shown):
             caption += f" Figures below {_LEAST_UM:g} µm are drawn at {_LEAST_UM:g} µm."
-        if any(row.campaign == POOLED for row in rows):
+        if any(row.campaign == ALL_CAMPAIGNS for row in rows):
             caption += " All campaigns together."
         title = f"Before and after, {split_words(split)}"
         figures.append(style.NamedFigure(f"before_after_{split}", "before_after", title, caption, figure))

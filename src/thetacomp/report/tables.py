@@ -18,11 +18,11 @@ from thetacomp.report.prediction import explains
 from thetacomp.separation.result import ComponentSeparation
 from thetacomp.states import LINE_POSITIONS
 from thetacomp.validation.result import ValidationRow
+from thetacomp.validation.validate import ALL_CAMPAIGNS, pooled
 
 NOT_AVAILABLE = "–"
 NOTHING_CHOSEN = "only sensor with readings: nothing was chosen"
 _MOST_STATES = 24
-POOLED = "all"  # the campaign name of rows over all campaigns
 _MODEL_ORDER = ("default", "key_points", "clock", "one_sensor", "all_sensors", "training_mean", "nothing")
 
 
@@ -184,12 +184,6 @@ def headlines(analysis: Analysis) -> list[Headline]:
     ]
 
 
-def pooled(rows: Sequence[ValidationRow]) -> list[ValidationRow]:
-    """Of each component the rows over all campaigns, or those of its campaigns where there are none."""
-    over_all = {r.component for r in rows if r.campaign == POOLED}
-    return [r for r in rows if r.campaign == POOLED or r.component not in over_all]
-
-
 def key_points(analysis: Analysis) -> list[KeyPoint]:
     """Key points of every axis with the reasons for them."""
     machine = analysis.folder.machine
@@ -286,7 +280,7 @@ def _group(analysis: Analysis, rows: Sequence[ValidationRow], component: str, ca
         only = sensors_with_readings(analysis, parts) == 1
         why = "only one sensor has readings" if only else "they use the same inputs"
         lines.insert(1, _line(analysis, names, same[0], f"same as default: {why}"))
-    label = "all campaigns" if campaign == POOLED else campaign
+    label = "all campaigns" if campaign == ALL_CAMPAIGNS else campaign
     return ValidationGroup(component_name(component), label, tuple(lines))
 
 
@@ -315,7 +309,7 @@ def _line(analysis: Analysis, name: str, row: ValidationRow, remark: str = "") -
     states = [
         len(item.t_s)
         for item in analysis.held_out
-        if item.component == row.component and row.campaign in (item.campaign, POOLED)
+        if item.component == row.component and row.campaign in (item.campaign, ALL_CAMPAIGNS)
     ]
     known = states and row.split == main_split(analysis)
     return ValidationLine(name, row, sum(states) if known else None, row.n, remark)

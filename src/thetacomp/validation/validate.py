@@ -115,6 +115,12 @@ def rows_of(residuals: Residuals, campaigns: Sequence[str]) -> tuple[ValidationR
     return tuple(_row(residuals, residuals.component, name, chosen) for name, chosen in groups)
 
 
+def pooled(rows: Sequence[ValidationRow]) -> list[ValidationRow]:
+    """Of each component the rows over all campaigns, or those of its campaigns where there are none."""
+    over_all = {row.component for row in rows if row.campaign == ALL_CAMPAIGNS}
+    return [row for row in rows if row.campaign == ALL_CAMPAIGNS or row.component not in over_all]
+
+
 def _by_campaign(campaign: Ints, names: Sequence[str]) -> list[tuple[str, Bools]]:
     """Name and rows of every campaign that occurs, and of `all` where there are several."""
     present = np.unique(campaign)
