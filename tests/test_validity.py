@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from synthetic_campaigns import LAYOUT, SENSORS, SUMMER, WINTER, Recording, inputs_of, synthetic_machine
 from thetacomp.campaign import Floats
@@ -121,7 +121,8 @@ def test_a_range_left_and_a_pattern_never_seen_both_raise_the_flag() -> None:
 
 def test_border_goes_through_json_unchanged(seasons: list[Season]) -> None:
     validity = seasons[0].validity
-    assert Validity.from_dict(json.loads(json.dumps(validity.to_dict()))) == validity
+    stored = TypeAdapter(Validity)
+    assert stored.validate_json(stored.dump_json(validity)) == validity
 
 
 def test_fade_is_continuous_and_bounded() -> None:

@@ -9,9 +9,7 @@ The quantile comes from held-out campaigns, see `validation.conformal`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,12 +52,3 @@ class Band:
     def half_width_um(self, leverage: Floats) -> Floats:
         """Half width (n,) of the band at inputs of these leverages (n,)."""
         return self.quantile * self.scale.at(leverage)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The band as JSON-able numbers."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, raw: Mapping[str, Any]) -> Band:
-        """The inverse of `to_dict`."""
-        return cls(**{**raw, "scale": Scale(**raw["scale"])})

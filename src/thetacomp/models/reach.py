@@ -10,10 +10,8 @@ and Mudholkar, Technometrics 21, 1979).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -33,17 +31,6 @@ class Reach:
     directions: tuple[tuple[float, ...], ...]
     moments: tuple[float, ...]
     floor: float
-
-    @classmethod
-    def from_dict(cls, raw: Mapping[str, Any]) -> Reach:
-        """A reach from the plain numbers that `dataclasses.asdict` gave, through JSON or not."""
-        return cls(
-            centre=tuple(raw["centre"]),
-            scale=tuple(raw["scale"]),
-            directions=tuple(tuple(row) for row in raw["directions"]),
-            moments=tuple(raw["moments"]),
-            floor=raw["floor"],
-        )
 
     @cached_property
     def _arrays(self) -> tuple[Floats, Floats, Floats, Floats]:

@@ -6,10 +6,8 @@ see `models.fade`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,16 +49,6 @@ class Validity:
     def inside(self, inputs: Floats) -> NDArray[np.bool_]:
         """The in-domain flag (n,): True where the distance is at most 1."""
         return np.asarray(self.distance(inputs) <= 1.0)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The border as JSON-able numbers."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, raw: Mapping[str, Any]) -> Validity:
-        """The inverse of `to_dict`."""
-        spans = {name: tuple(raw[name]) for name in ("middle", "half_span")}
-        return cls(**{**raw, **spans, "reach": Reach.from_dict(raw["reach"])})
 
 
 def furthest(reach: Reach, middle: Floats, half_span: Floats, inputs: Floats) -> Floats:
