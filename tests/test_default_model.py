@@ -19,6 +19,7 @@ from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.models.document import load_model
 from thetacomp.models.history_law import check_history
 from thetacomp.prediction import Prediction, predict
+from thetacomp.report.figures_fit import fit_over_temperature
 from thetacomp.temperature.history import run_filters
 
 MACHINE = Machine(
@@ -260,3 +261,12 @@ def test_the_cost_of_leaving_heat_history_counts_from_heat_history(analysis: Ana
     assert told is not None
     assert told.full_rms_um == kept[0].accuracy["EYY"].full_rms_um
     assert told.without_rms_um == model.fallbacks[0].accuracy["EYY"].without_rms_um
+
+
+def test_pictures_of_the_law_on_key_points_do_not_pass_for_the_model_in_use(analysis: Analysis) -> None:
+    # the two pictures draw model.components; with heat history that is not what a prediction comes from
+    captions = [figure.caption for figure in fit_over_temperature(analysis)]
+    assert captions
+    assert all("the law on key points (not the heat history in use)" in caption for caption in captions)
+    static = replace(analysis, model=analysis.model.model_copy(update={"history": {}}))
+    assert all("the stored model" in figure.caption for figure in fit_over_temperature(static))

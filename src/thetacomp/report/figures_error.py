@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.report import style
-from thetacomp.report.prediction import predict_states
+from thetacomp.report.prediction import drawn_law, predict_states
 from thetacomp.report.style import HOUR_S, TIME_COLORS
 from thetacomp.separation.result import ComponentSeparation, GeometryCurve
 
@@ -179,7 +179,7 @@ def drift_over_time(analysis: Analysis) -> list[style.NamedFigure]:
         handles, texts = grid[0][0].get_legend_handles_labels()
         figure.legend(handles, texts, loc="outside upper right", ncols=3)
         caption = (
-            "Displacement at a fixed position and what the stored model says. The model was trained on these data too:"
+            f"Displacement at a fixed position and what {drawn_law(analysis)} says. It was trained on these data too:"
             " section 5 holds the held-out figures."
         )
         name = f"drift_{style.file_label(campaign.name, number)}"

@@ -14,7 +14,7 @@ from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Floats
 from thetacomp.models.document import Component, LinearTerm
 from thetacomp.report import style
-from thetacomp.report.prediction import explains, half_band, predict_states, reference_degC, term_at
+from thetacomp.report.prediction import drawn_law, explains, half_band, predict_states, reference_degC, term_at
 from thetacomp.report.style import CAMPAIGN_MARKS, HOUR_S, TIME_COLORS
 from thetacomp.separation.result import ComponentSeparation
 
@@ -83,7 +83,7 @@ def _figure(analysis: Analysis, axis: str | None, names: Sequence[str]) -> style
     kinds = " and ".join(reversed(shown)).capitalize() if axis is not None else "Drift"
     against = "the prediction" if 2 in counts else "temperature" if 1 in counts else "time"
     title = f"{kinds} against {against}" + (f", axis {axis}" if axis is not None else "")
-    caption = "Dots: separated states with their 95 % interval, coloured by time. "
+    caption = f"Dots: separated states with their 95 % interval, coloured by time. Model: {drawn_law(analysis)}. "
     caption += " ".join(_CAPTIONS[count] for count in sorted(counts, reverse=True))
     if counts != {0}:
         caption += " A ring marks a state outside the band. R² is in-sample: on the states of the fit."

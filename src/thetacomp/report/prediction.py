@@ -67,8 +67,13 @@ def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: Compo
     return measured.at(t_s)[:, columns]
 
 
+def drawn_law(analysis: Analysis) -> str:
+    """What `predict_states` gives, in words: with heat history in use it is not what predictions come from."""
+    return "the law on key points (not the heat history in use)" if analysis.model.history else "the stored model"
+
+
 def predict_states(analysis: Analysis, state: ComponentSeparation) -> PredictedStates | None:
-    """The stored model at every state of one separated component; None where the model does not hold it."""
+    """The law on key points at every state of one separated component; None where the model does not hold it."""
     component = analysis.model.components.get(state.component)
     if component is None:
         return None
