@@ -8,6 +8,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, fields
 from pathlib import Path
 
+import numpy as np
+
 from thetacomp.analysis_result import Analysis
 from thetacomp.comparison.result import ComparisonRow
 from thetacomp.separation import ComponentSeparation
@@ -56,6 +58,8 @@ SEPARATION_COLUMNS = (
     "rms_um",
     "p0_mm",
     "cold",
+    "bend_um_per_m2",
+    "bend_se_um_per_m2",
 )
 ANGLE_COLUMNS = tuple(name.replace("_um", "_urad") for name in SEPARATION_COLUMNS)
 GEOMETRY_COLUMNS = ("campaign", "component", "direction", "position_mm", "geometry_um", "geometry_se_um", "model")
@@ -90,6 +94,9 @@ def _screening_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
 
 def _separation_rows(separations: Iterable[ComponentSeparation]) -> Iterable[Sequence[object]]:
     for s in separations:
+        straight = np.full(len(s.t_s), np.nan)
+        bend = straight if s.bend_um_per_m2 is None else s.bend_um_per_m2
+        bend_se = straight if s.bend_se_um_per_m2 is None else s.bend_se_um_per_m2
         for k in range(len(s.t_s)):
             yield (
                 s.campaign,
@@ -103,6 +110,8 @@ def _separation_rows(separations: Iterable[ComponentSeparation]) -> Iterable[Seq
                 s.rms_um[k],
                 s.p0_mm,
                 int(s.cold[k]),
+                bend[k],
+                bend_se[k],
             )
 
 

@@ -220,8 +220,7 @@ def _predict_history(
     lever_m = np.zeros(len(rows)) if axis.p0_mm is None else (position_mm - axis.p0_mm) / 1000.0
     for name, component in axis.components.items():
         k = CARTESIAN.index(component.direction)
-        intercept_um, slope_um_per_m = law.line(name)
-        table.error_um[rows, k] = intercept_um + slope_um_per_m * lever_m
+        table.error_um[rows, k] = law.error_um(name, lever_m)
         table.half_um[rows, k] = law.half_width_um(name)
     table.missing[rows] |= ~np.isfinite(law.moments.moved).all(axis=1)
     table.limit(rows, history_limits(law, position_mm))

@@ -10,7 +10,7 @@ import numpy as np
 
 from thetacomp.campaign import Campaign, Floats, Ints, MachineFolder
 from thetacomp.errors import AnalysisError
-from thetacomp.separation.result import Bools, ComponentSeparation
+from thetacomp.separation.result import Bools, ComponentSeparation, mean_square_m2
 from thetacomp.temperature.history import HistoryLayout
 from thetacomp.temperature.track import HistoryTrack, history_layout, history_track
 
@@ -46,13 +46,14 @@ class Samples:
 class AxisStates:
     """States of one moving axis (`DRIFT` for a fixed position), n rows, c components, p sensors.
 
-    `intercept_um` and `slope_um_per_m` are (n, c), referred to the cold state of their campaign; `cold_*` (n, c) is
-    what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing values are NaN. `exact_zero` says
-    that S = I = 0 holds exactly at the reference, as in separated sweeps; in drift and in parameters from elsewhere the
-    cold state is a measurement like any other, and with a common datum there is no zero of the campaign's own.
-    `history` (n, k) holds lagged temperatures and speeds as differences from the reference, whose own values are
-    `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was read in all
-    campaigns).
+    `intercept_um`, `slope_um_per_m` and `bend_um_per_m2` are (n, c): a component is `intercept + slope u + bend u²`
+    with u = (p - P0) / 1000; the bend is zero for what stays a line. They are referred to the cold state of their
+    campaign; `cold_*` (n, c) is what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing
+    values are NaN. `exact_zero` says that S = I = 0 holds exactly at the reference, as in separated sweeps; in drift
+    and in parameters from elsewhere the cold state is a measurement like any other, and with a common datum there is no
+    zero of the campaign's own. `history` (n, k) holds lagged temperatures and speeds as differences from the reference,
+    whose own values are `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was
+    read in all campaigns).
     """
 
     axis: str
@@ -72,6 +73,7 @@ class AxisStates:
     reference_s: Floats
     intercept_um: Floats
     slope_um_per_m: Floats
+    bend_um_per_m2: Floats
     cold_intercept_um: Floats
     cold_slope_um_per_m: Floats
     history: Floats
@@ -91,6 +93,27 @@ class AxisStates:
     def half_travel_m(self) -> float:
         """Largest distance from P0 over the measured positions in metres."""
         return max(self.p_max_mm - self.p0_mm, self.p0_mm - self.p_min_mm) / 1000.0
+
+    @property
+    def line_intercept_um(self) -> Floats:
+        """Intercepts (n, c) of the best lines over the travel, for a law without bends.
+
+        In the joint form intercepts are zero and stay so: the drift is a component of its own.
+        """
+        joint = ~np.any(self.intercept_um, axis=0)
+        lift_um = self.bend_um_per_m2 * mean_square_m2(self.p0_mm, self.p_min_mm, self.p_max_mm)
+        return np.where(joint, self.intercept_um, self.intercept_um + lift_um)
+
+    def targets(self) -> Floats:
+        """What a model with bends is fitted to, (n, powers * c): intercepts, then slopes, then bends where there are
+        any.
+
+        `curve_um` puts their predictions together.
+        """
+        if self.is_drift:
+            return self.intercept_um
+        bends = [self.bend_um_per_m2] if np.any(np.nan_to_num(self.bend_um_per_m2)) else []
+        return np.hstack([self.intercept_um, self.slope_um_per_m, *bends])
 
     def take(self, rows: Ints) -> AxisStates:
         """The same table with some of its rows, each once, and with their samples."""
@@ -114,6 +137,13 @@ class AxisStates:
             values.append(self.slope_um_per_m)
             weights += [self.half_travel_m] * len(self.components)
         return tuple(names), np.hstack(values), np.array(weights)
+
+
+def curve_um(parameters: Floats, component: int, components: int, lever_m: Floats) -> Floats:
+    """Error (n,) of one of c components from parameters (n, powers * c) in the order of `AxisStates.targets`."""
+    powers = parameters.shape[1] // components
+    terms = [parameters[:, power * components + component] * lever_m**power for power in range(powers)]
+    return np.asarray(np.sum(terms, axis=0))
 
 
 def _renumbered(samples: Samples, row_of: Ints) -> Samples:
@@ -203,14 +233,16 @@ def _campaign_states(
     own = [next(s for s in members if s.campaign == name and s.component == c) for c in components]
     states = np.unique(np.concatenate([s.sweep for s in own]))
     n, c = len(states), len(components)
-    intercept, slope, cold_intercept, cold_slope = (np.full((n, c), np.nan) for _ in range(4))
+    intercept, slope, bend, cold_intercept, cold_slope = (np.full((n, c), np.nan) for _ in range(5))
     t_s = np.full(n, np.nan)
     cold = np.zeros(n, dtype=bool)
     for k, s in enumerate(own):
         rows = np.searchsorted(states, s.sweep)
         shift_m = (p0_mm - s.p0_mm) / 1000.0
-        intercept[rows, k] = s.intercept_um + s.slope_um_per_m * shift_m
-        slope[rows, k] = s.slope_um_per_m
+        own_bend = np.zeros(len(rows)) if s.bend_um_per_m2 is None else s.bend_um_per_m2
+        intercept[rows, k] = s.intercept_um + s.slope_um_per_m * shift_m + own_bend * shift_m**2
+        slope[rows, k] = s.slope_um_per_m + 2.0 * own_bend * shift_m
+        bend[rows, k] = own_bend
         cold_intercept[rows, k] = s.cold_intercept_um + s.cold_slope_um_per_m * shift_m
         cold_slope[rows, k] = s.cold_slope_um_per_m
         t_s[rows] = s.t_s
@@ -236,6 +268,7 @@ def _campaign_states(
         reference_s=np.full(n, reference_s),
         intercept_um=intercept,
         slope_um_per_m=slope,
+        bend_um_per_m2=bend,
         cold_intercept_um=cold_intercept,
         cold_slope_um_per_m=cold_slope,
         history=track.at(t_s),
@@ -272,6 +305,7 @@ _BY_ROW = (
     "reference_s",
     "intercept_um",
     "slope_um_per_m",
+    "bend_um_per_m2",
     "cold_intercept_um",
     "cold_slope_um_per_m",
     "history",

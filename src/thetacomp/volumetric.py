@@ -87,14 +87,19 @@ def predict_volume(
 
     seen = [ask(plain, "", np.full(len(t_s), np.nan)), *(ask(plain, a.name, positions_mm[a.name]) for a in chain)]
     metre = {a.name: np.full(len(t_s), a.p0_mm + 1000.0) for a in chain}
-    slopes = {a.name: _part(ask(plain, a.name, metre[a.name])) for a in chain}
+    slopes, bends = {}, {}
+    for a in chain:
+        # A metre to either side of P0: the odd part is the slope, the even part the bend.
+        ahead, behind = (ask(plain, a.name, np.full(len(t_s), a.p0_mm + d_mm)) for d_mm in (1000.0, -1000.0))
+        slopes[a.name] = Part(0.5 * (ahead.error_um - behind.error_um), _part(ahead).half_width)
+        bends[a.name] = 0.5 * (ahead.error_um + behind.error_um)
     turning, angle, angle_slopes = _angle_document(plain), None, {}
     if turning.components:
         angle = _part(ask(turning, "", np.full(len(t_s), np.nan)))
         angle_slopes = {a.name: _part(ask(turning, a.name, metre[a.name])) for a in chain}
     there_um = {a.name: _part(one).half_width for a, one in zip(chain, seen[1:], strict=True)}
     reading_um = {a.name: _reading_um(plain, a.name) for a in chain}
-    parts = ThermalParts(_part(seen[0]), slopes, angle, angle_slopes, there_um, reading_um)
+    parts = ThermalParts(_part(seen[0]), slopes, angle, angle_slopes, there_um, reading_um, bends)
     error_um, half_um = volume_error(chain, parts, positions_mm, longer_mm)
     missing = np.any([one.missing for one in seen], axis=0)
     if follows_workpiece(model):

@@ -16,7 +16,7 @@ from thetacomp.states import AxisStates, Samples
 
 @dataclass(frozen=True)
 class FamilyModel:
-    """A fitted family of one axis: its targets are the intercepts (µm), then the slopes (µm/m), of `components`.
+    """A fitted family of one axis: its targets are those of `AxisStates.targets` for `components`.
 
     `chosen` holds the number of the setting of every target, `scored` how many settings could be compared.
     """
@@ -31,9 +31,9 @@ class FamilyModel:
     def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
         """Thermal error of samples in µm, (n,), from inputs alone; no interval is stated, so the second is NaN."""
         k = self.components.index(component)
-        value = self._target(k, states, samples)
-        if not states.is_drift:
-            value = value + self._target(len(self.components) + k, states, samples) * samples.lever_m
+        targets = range(k, len(self.chosen), len(self.components))
+        powers = [self._target(j, states, samples) * samples.lever_m**power for power, j in enumerate(targets)]
+        value = np.asarray(np.sum(powers, axis=0))
         return value, np.full(len(value), np.nan)
 
     def _target(self, target: int, states: AxisStates, samples: Samples) -> Floats:
@@ -81,7 +81,7 @@ def family_procedure(family: Family) -> AnyProcedure:
 def training_table(states: AxisStates, family: Family) -> tuple[Ints, Table]:
     """The columns that a family uses and its complete training rows, thinned. Raises AnalysisError for one campaign."""
     columns, group = columns_of(states, family.inputs)
-    y = states.intercept_um if states.is_drift else np.hstack([states.intercept_um, states.slope_um_per_m])
+    y = states.targets()
     table = Table(state_rows(states, columns, family.inputs), y, group)
     table = table.take(np.flatnonzero(np.isfinite(table.rows.x).all(axis=1) & np.isfinite(y).all(axis=1)))
     if len(np.unique(table.rows.campaign)) < 2:

@@ -1,15 +1,16 @@
 """The thermal error anywhere in the working volume: drift once, every axis, rotations over their arms. Numpy only.
 
-    E(p, L) = D + Σ_a S_a (p_a - P0_a) + Σ_a [σ_a (p_a - P0_a)] × arm_a + r × (L - L0) t
+    E(p, L) = D + Σ_a [S_a (p_a - P0_a) + C_a (p_a - P0_a)²] + Σ_a [σ_a (p_a - P0_a)] × arm_a + r × (L - L0) t
     r = D_r + Σ_a σ_a (p_a - P0_a)
 
-D and S are the drift (µm) and the slopes (µm/m) of the joint form, at the tool length L0; `σ_a` (µrad/m) is the thermal
-change of the angles along axis a, `D_r` (µrad) that at fixed positions; `arm_a` is made of the axes behind a in the
-chain; t points from the spindle nose to the tool tip. A rotation that does not change with a position is in the slopes
-of the axes behind it already. So 99 µrad over a 600 mm arm, 59 µm, are counted once.
+D, S and C are the drift (µm), the slopes (µm/m) and the bends (µm/m²) of the joint form, at the tool length L0; `σ_a`
+(µrad/m) is the thermal change of the angles along axis a, `D_r` (µrad) that at fixed positions; `arm_a` is made of the
+axes behind a in the chain; t points from the spindle nose to the tool tip. A rotation that does not change with a
+position is in the slopes of the axes behind it already. So 99 µrad over a 600 mm arm, 59 µm, are counted once.
 
 Where no angles were measured, a longer tool is taken to lean with the guide of the last axis, if that runs along the
-spindle: its slopes hold the rotation of everything that carries it. The bending of ram and spindle is not in them.
+spindle: its slopes, and the tangent of its bend, hold the rotation of everything that carries it. The bending of ram
+and spindle is not in them.
 
 Uncertainty: the half widths of all parts are taken as independent and add as squares. The parts are fits of their own
 on different sweeps. The band of an axis on heat history is calibrated on measured points over its travel, so it holds
@@ -43,6 +44,7 @@ class ThermalParts:
 
     `there_um` holds by axis the half width (n, 3) of what it does at its own position. Where it is absent, the half
     width of the slope grows with the arm. `reading_um` (3,) by axis is the scatter of one reading in it, as half width.
+    `bends_um_per_m2` (n, 3) by axis; absent where all axes stay lines.
     """
 
     drift: Part
@@ -51,6 +53,7 @@ class ThermalParts:
     angle_slopes: Mapping[str, Part] = field(default_factory=dict)
     there_um: Mapping[str, Floats] = field(default_factory=dict)
     reading_um: Mapping[str, Floats] = field(default_factory=dict)
+    bends_um_per_m2: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def spindle_lean(chain: Sequence[ChainAxis]) -> ChainAxis | None:
@@ -76,11 +79,14 @@ def volume_error(
         raise ValueError("no angles, and no axis along the spindle carries the tool: its length has no known effect")
     for axis, own_um in zip(chain, reading_um, strict=True):
         part = parts.slopes[axis.name]
-        arm_m = np.repeat(axis.arm_m(positions_mm[axis.name])[:, None], 3, axis=1)
+        here_m = axis.arm_m(positions_mm[axis.name])[:, None]
+        arm_m = np.repeat(here_m, 3, axis=1)
         if parts.angle is None and lean is axis:
             across = np.abs(axis.direction) < 0.5
             arm_m[:, across] += (float(axis.direction @ TOOL) * longer_m)[:, None]
-        error_um = error_um + part.value * arm_m
+        bend = parts.bends_um_per_m2.get(axis.name, np.zeros((len(longer_m), 3)))
+        # The tangent goes on beyond the axis: u² + 2 u (arm - u).
+        error_um = error_um + part.value * arm_m + bend * here_m * (2.0 * arm_m - here_m)
         half_um = part.half_width * np.abs(arm_m)
         if axis.name in parts.there_um:
             # A band that was calibrated over the travel does not shrink with the arm; only a longer tool widens it.

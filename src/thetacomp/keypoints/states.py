@@ -59,7 +59,7 @@ def parameter_table(states: AxisStates) -> ParameterTable:
     """All intercepts and slopes of an axis as one table."""
     start_m, end_m = (states.p_min_mm - states.p0_mm) / 1000.0, (states.p_max_mm - states.p0_mm) / 1000.0
     parameters = [Parameter(c, INTERCEPT, start_m, end_m) for c in states.components]
-    value = [states.intercept_um]
+    value = [states.line_intercept_um]
     if not states.is_drift:
         parameters += [Parameter(c, SLOPE, start_m, end_m) for c in states.components]
         value.append(states.slope_um_per_m)

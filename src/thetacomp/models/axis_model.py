@@ -105,7 +105,7 @@ def fit_axis(
                 f" at least {X.shape[1] + int(constant) + 1} are needed, more than ten make it useful."
                 " Fix: measure more heated sweeps, or fill the missing values."
             )
-        y = states.intercept_um[rows, k : k + 1]
+        y = states.line_intercept_um[rows, k : k + 1]
         if not states.is_drift:
             y = np.column_stack([y, states.slope_um_per_m[rows, k]])
         regressions[component] = ThermalRegression(fit_intercept=constant).fit(X[rows], y)

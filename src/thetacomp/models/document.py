@@ -97,19 +97,21 @@ class HistoryReference(Strict):
 
 
 class HistoryComponent(Strict):
-    """One error component on heat history: `E = Σ (intercept_j + slope_j (p - p0_mm) / 1000) (x_j - x_j,reference)`.
+    """One error component on heat history: `E = Σ (intercept_j + slope_j u + bend_j u²) (x_j - x_j,reference)`.
 
-    One coefficient an input of the layout: `intercept_um` in µm, `slope_um_per_m` in µm/m per unit of the input
-    (None for drift). `prior_*` is the law on the plain rises of the layout's sensors that takes over where the model
-    is outside its border, per K. `band` is the 95 % band of E; it holds the scatter `noise_sd_um` of one reading.
-    `residual_um` and `held_out_um` as in Component.
+    u = (p - p0_mm) / 1000. One coefficient an input of the layout: `intercept_um` in µm, `slope_um_per_m` in µm/m (None
+    for drift), `bend_um_per_m2` in µm/m² (None for what stays a line) per unit of the input. `prior_*` is the law on
+    the plain rises of the layout's sensors that takes over where the model is outside its border, per K. `band` is the
+    95 % band of E; it holds the scatter `noise_sd_um` of one reading. `residual_um` and `held_out_um` as in Component.
     """
 
     direction: Literal["X", "Y", "Z"]
     intercept_um: tuple[float, ...]
     slope_um_per_m: tuple[float, ...] | None
+    bend_um_per_m2: tuple[float, ...] | None = None
     prior_intercept_um_per_K: tuple[float, ...]
     prior_slope_um_per_m_per_K: tuple[float, ...] | None
+    prior_bend_um_per_m2_per_K: tuple[float, ...] | None = None
     band: Band
     residual_um: tuple[float, float]
     held_out_um: tuple[float, float, float] | None = None

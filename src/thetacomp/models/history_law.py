@@ -1,4 +1,4 @@
-"""The thermal law of an axis on heat history: inputs in, intercepts, slopes, errors and their 95 % bands out.
+"""The thermal law of an axis on heat history: inputs in, errors and their 95 % bands out.
 
 Numpy only. Inside the border of validity the model speaks alone, outside it fades towards the prior (`fade`).
 """
@@ -46,13 +46,17 @@ class HistoryLaw:
     def _leverage(self) -> Floats:
         return self.axis.reach.leverage(self.moments.moved)
 
-    def line(self, component: str) -> tuple[Floats, Floats]:
-        """Intercept (µm) and slope (µm/m) of a component, (n,) each; the slope is zero for drift."""
+    def error_um(self, component: str, lever_m: Floats) -> Floats:
+        """Error of a component (n,) at distances `lever_m` (n,) from P0, which play no part for drift."""
         own = self.axis.components[component]
-        intercept_um = self._faded(own.intercept_um, own.prior_intercept_um_per_K)
-        if own.slope_um_per_m is None or own.prior_slope_um_per_m_per_K is None:
-            return intercept_um, np.zeros(len(intercept_um))
-        return intercept_um, self._faded(own.slope_um_per_m, own.prior_slope_um_per_m_per_K)
+        error_um = self._faded(own.intercept_um, own.prior_intercept_um_per_K)
+        for power, model, prior in (
+            (1, own.slope_um_per_m, own.prior_slope_um_per_m_per_K),
+            (2, own.bend_um_per_m2, own.prior_bend_um_per_m2_per_K),
+        ):
+            if model is not None and prior is not None:
+                error_um = error_um + self._faded(model, prior) * lever_m**power
+        return error_um
 
     def half_width_um(self, component: str) -> Floats:
         """Half of the 95 % band of a component, (n,), at any position of the travel."""
@@ -127,11 +131,17 @@ def _problems(component: HistoryComponent, inputs: int, sensors: int, *, drift: 
     for what, values, size in (
         ("intercept", component.intercept_um, inputs),
         ("slope", component.slope_um_per_m, inputs),
+        ("bend", component.bend_um_per_m2, inputs),
         ("prior of the intercept", component.prior_intercept_um_per_K, sensors),
         ("prior of the slope", component.prior_slope_um_per_m_per_K, sensors),
+        ("prior of the bend", component.prior_bend_um_per_m2_per_K, sensors),
     ):
         if values is not None and len(values) != size:
             out.append(f"{what} has {len(values)} coefficients for {size} inputs")
-        if (values is None) != (drift and "slope" in what):
+        if "bend" not in what and (values is None) != (drift and "slope" in what):
             out.append(f"{what} {'missing' if values is None else 'of a drift'}")
+    if (component.bend_um_per_m2 is None) != (component.prior_bend_um_per_m2_per_K is None):
+        out.append("the bend and its prior do not come together")
+    if drift and component.bend_um_per_m2 is not None:
+        out.append("bend of a drift")
     return out

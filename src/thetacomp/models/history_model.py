@@ -1,4 +1,4 @@
-"""The heat-history model of one moving axis: intercepts and slopes by averaged block ridge."""
+"""The heat-history model of one moving axis: intercepts, slopes and bends by averaged block ridge."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from thetacomp.campaign import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.models.ridge import HistoryRidge, history_candidates
-from thetacomp.states import AxisStates, Samples
+from thetacomp.states import AxisStates, Samples, curve_um
 from thetacomp.temperature.history import HistoryLayout
 
 MIN_CAMPAIGNS = 2
@@ -17,7 +17,7 @@ MIN_CAMPAIGNS = 2
 
 @dataclass(frozen=True)
 class HistoryModel:
-    """A fitted heat-history model: the ridge predicts (intercepts µm, slopes µm/m) of `components` in that order."""
+    """A fitted heat-history model: the ridge predicts `AxisStates.targets` of `components`."""
 
     axis: str
     components: tuple[str, ...]
@@ -27,10 +27,7 @@ class HistoryModel:
     def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
         """Thermal error of samples in µm, (n,); no interval is stated, so the second array is NaN."""
         k = self.components.index(component)
-        parameters = self.ridge.predict(samples.history)
-        value = parameters[:, k]
-        if not states.is_drift:
-            value = value + parameters[:, len(self.components) + k] * samples.lever_m
+        value = curve_um(self.ridge.predict(samples.history), k, len(self.components), samples.lever_m)
         return value, np.full(len(value), np.nan)
 
 
@@ -43,7 +40,6 @@ def history_procedure(states: AxisStates) -> HistoryModel:
         raise AnalysisError(f"axis {states.axis or 'drift'}: no sensor was read in all campaigns.")
     if len(np.unique(states.campaign)) < MIN_CAMPAIGNS:
         raise AnalysisError(f"axis {states.axis or 'drift'}: heat history needs {MIN_CAMPAIGNS} training campaigns.")
-    targets = states.intercept_um if states.is_drift else np.hstack([states.intercept_um, states.slope_um_per_m])
     ridge = HistoryRidge(states.layout.blocks, history_candidates(states.layout))
-    ridge.fit(states.history, targets, states.campaign)
+    ridge.fit(states.history, states.targets(), states.campaign)
     return HistoryModel(states.axis, states.components, states.layout, ridge)

@@ -185,7 +185,7 @@ def _measured(part: ComponentSeparation, component: Component, what: str) -> tup
         return part.slope_um_per_m, part.slope_se_um_per_m
     move_m = 0.0 if component.p0_mm is None else (component.p0_mm - part.p0_mm) / 1000.0
     se = part.intercept_se_um if move_m == 0.0 else np.full(len(part.t_s), np.nan)
-    return part.intercept_um + part.slope_um_per_m * move_m, se
+    return part.line_intercept_um + part.slope_um_per_m * move_m, se
 
 
 def _draw_band(axes: Axes, term: LinearTerm, dof: int, drawn: Sequence[_States], shift_degC: float) -> None:

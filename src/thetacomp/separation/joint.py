@@ -2,13 +2,14 @@
 
 Model of a measured point i in sweep k (paper, equations 1 and 2, every point at its own time):
 
-    E_i = G_dir(p_i) + I(t_i) + S(t_i) (p_i - P0) + α_k (p_i - mean of sweep k) + noise
+    E_i = G_dir(p_i) + I(t_i) + S(t_i) (p_i - P0) + C(t_i) (p_i - P0)² + α_k (p_i - mean of sweep k) + noise
 
-`I = S = 0` in the cold block. Between sweeps I and S change; inside a sweep they move with the rate of the parabola
-through the neighbouring states, which is linear in the unknowns, so one least-squares problem holds it all. `α_k` is
-an angle error of the instrument common to a sweep: it cannot be told from a slope and enters as a random effect of
-known standard deviation, which widens the stated intervals by just what it costs. Tracker points bring a second one:
-what the tie to the foundation leaves in a sweep, an offset and a slope of known covariance. They also bring weights.
+`I = S = C = 0` in the cold block, and C = 0 throughout where a line follows the heat. Between sweeps they change;
+inside a sweep they move with the rate of the parabola through the neighbouring states, which is linear in the unknowns,
+so one least-squares problem holds it all. `α_k` is an angle error of the instrument common to a sweep: it cannot be
+told from a slope and enters as a random effect of known standard deviation, which widens the stated intervals by just
+what it costs. Tracker points bring a second one: what the tie to the foundation leaves in a sweep, an offset and a
+slope of known covariance. They also bring weights.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class ComponentData:
     """Points of one component of one axis, n points; sweeps counted 0 … K-1 and `cold` (K,) marking the cold ones.
 
     `weight` (n,) has the mean 1. `tie` (K, 2, 2) is the covariance of offset (µm, at the sweep's mean position) and
-    slope (µm/m) that a sweep has in common.
+    slope (µm/m) that a sweep has in common. `bent` asks for a parabola in every heated sweep, not only a line.
     """
 
     position_mm: Floats
@@ -53,13 +54,15 @@ class ComponentData:
     angle_sd_urad: float
     weight: Floats | None = None
     tie: Floats | None = None
+    bent: bool = False
 
 
 @dataclass(frozen=True)
 class JointFit:
     """Solution of the joint fit. `states` lists the heated sweeps; arrays of states have length m.
 
-    `line_covariance` (2 m, 2 m) is that of (intercepts, slopes).
+    `line_covariance` (2 m, 2 m) is that of (intercepts, slopes). `bend_um_per_m2` is zero where no bend was asked for;
+    `line_um` (n,) is the whole thermal part at the points, bend included.
     """
 
     curve: Curve
@@ -69,6 +72,8 @@ class JointFit:
     intercept_se_um: Floats
     slope_um_per_m: Floats
     slope_se_um_per_m: Floats
+    bend_um_per_m2: Floats
+    bend_se_um_per_m2: Floats
     line_covariance: Floats
     geometry_coefficients: Floats
     geometry_covariance: Floats
@@ -159,24 +164,28 @@ class _System:
     geometry: slice
     intercepts: slice
     slopes: slice
+    bends: slice  # empty for a component that stays a line
 
 
 def _system(data: ComponentData, curve: Curve, directions: Sequence[int], states: Ints, extra: Floats) -> _System:
     geometry = direction_design(curve, data.position_mm, data.direction, directions)
     weights = state_weights(data, states) if len(states) else np.zeros((len(data.t_s), 0))
     common, precision = _common_columns(data)
-    design = np.hstack([geometry, weights, weights * lever_m(data)[:, None], common, extra])
+    powers = [lever_m(data)[:, None] ** power for power in range(3 if data.bent else 2)]
+    design = np.hstack([geometry, *(weights * power for power in powers), common, extra])
     g, m, k = geometry.shape[1], len(states), common.shape[1]
+    heat = g + len(powers) * m
     prior = np.zeros((design.shape[1], design.shape[1]))
     prior[:g, :g] = direction_penalty(curve, directions)
     return _System(
         design=design,
         prior=prior,
         precision=precision,
-        common=slice(g + 2 * m, g + 2 * m + k),
+        common=slice(heat, heat + k),
         geometry=slice(0, g),
         intercepts=slice(g, g + m),
         slopes=slice(g + m, g + 2 * m),
+        bends=slice(g + 2 * m, heat),
     )
 
 
@@ -269,6 +278,8 @@ def fit_component(data: ComponentData) -> JointFit:
     se = np.sqrt(np.diag(solution.covariance))
     g = system.geometry
     line_part = slice(system.intercepts.start, system.slopes.stop)
+    heat = slice(system.intercepts.start, system.bends.stop)
+    straight = np.zeros(len(states))
     return JointFit(
         curve=curve,
         directions=directions,
@@ -277,11 +288,13 @@ def fit_component(data: ComponentData) -> JointFit:
         intercept_se_um=se[system.intercepts],
         slope_um_per_m=solution.coefficients[system.slopes],
         slope_se_um_per_m=se[system.slopes],
+        bend_um_per_m2=solution.coefficients[system.bends] if data.bent else straight,
+        bend_se_um_per_m2=se[system.bends] if data.bent else straight,
         line_covariance=solution.covariance[line_part, line_part],
         geometry_coefficients=solution.coefficients[g],
         geometry_covariance=solution.covariance[g, g],
         geometry_um=system.design[:, g] @ solution.coefficients[g],
-        line_um=system.design[:, line_part] @ solution.coefficients[line_part],
+        line_um=system.design[:, heat] @ solution.coefficients[heat],
         outlier=outlier,
         noise_sd_um=solution.noise_sd_um,
         dof=solution.dof,
@@ -307,11 +320,14 @@ class ShapeChange:
 
 
 def shape_change(data: ComponentData, fit: JointFit) -> ShapeChange:
-    """Fit a change of shape to every heated sweep: second and third Legendre terms and a change of reversal."""
+    """Fit a change of shape to every heated sweep: second and third Legendre terms and a change of reversal.
+
+    Where the fit has a bend already, the second term is in it.
+    """
     good = ~fit.outlier
     span = (data.position_mm.min(), data.position_mm.max())
     x = 2.0 * (data.position_mm - span[0]) / (span[1] - span[0]) - 1.0
-    terms = [1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x]
+    terms = [2.5 * x**3 - 1.5 * x] if data.bent else [1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x]
     if len(fit.directions) == 2:
         terms.append(data.direction / 2.0)
     blocks = [term * (data.sweep == state) for state in fit.states for term in terms]

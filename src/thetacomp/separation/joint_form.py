@@ -1,6 +1,6 @@
 """The joint form of a campaign: all sweeps of all axes together, the drift of one direction counted once.
 
-    E(p) = D(t) + Σ_a [G_a(p_a) + S_a(t) (p_a - P0_a)] + Σ_a ρ_a(p_a, t) × arm_a(p) + noise
+    E(p) = D(t) + Σ_a [G_a(p_a) + S_a(t) (p_a - P0_a) + C_a(t) (p_a - P0_a)²] + Σ_a ρ_a(p_a, t) × arm_a(p) + noise
 
 Each axis is separated alone first; its intercept then holds the drift and the share of the other axes at the positions
 where they stood. With these positions known the share is taken off every point at its own time, and the axes are
@@ -15,7 +15,7 @@ constant of the geometry, and their spread is told.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,7 +48,7 @@ class JointSeparation:
 class _Campaign:
     """One quantity of a campaign (`letters` name its three columns) with the positions of all swept axes, (n,) each.
 
-    `angles` are the fits of the angular errors, by axis, whose arms are taken off.
+    `angles` are the fits of the angular errors, by axis, whose arms are taken off; `bent` as in `separate_joint`.
     """
 
     machine: Machine
@@ -58,6 +58,7 @@ class _Campaign:
     reference_s: float
     looks: Looks | None
     angles: dict[str, list[AxisFit]]
+    bent: Collection[str] = ()
 
     def share(
         self, fits: dict[str, list[AxisFit]], moving: Sequence[str], t_s: Floats, at_mm: dict[str, Floats]
@@ -104,10 +105,11 @@ def why_not_joint(machine: Machine, campaign: Campaign) -> str | None:
     return None
 
 
-def separate_joint(machine: Machine, campaign: Campaign) -> JointSeparation:
+def separate_joint(machine: Machine, campaign: Campaign, bent: Collection[str] = ()) -> JointSeparation:
     """Separate all axes of one campaign together. The campaign must pass `why_not_joint`.
 
-    Raises AnalysisError where an axis has too few points.
+    `bent` names the components whose heated sweeps are parabolas instead of lines. Raises AnalysisError where an axis
+    has too few points.
     """
     points = campaign.sweeps
     assert points is not None
@@ -115,7 +117,7 @@ def separate_joint(machine: Machine, campaign: Campaign) -> JointSeparation:
     refuse_reference_in_a_sweep(campaign, reference_s)
     chain = chain_of([axis for axis in machine.axes if axis.name in points.axis])
     looks, notes = _looks(campaign, chain, campaign.drift.error_um if campaign.drift else None)
-    whole = _Campaign(machine, campaign, chain, CARTESIAN, reference_s, looks, {})
+    whole = _Campaign(machine, campaign, chain, CARTESIAN, reference_s, looks, {}, bent)
     angles, angle_fits = _angles(whole)
     components, _ = _solved(replace(whole, angles=angle_fits))
     return JointSeparation(tuple(components), tuple(angles), tuple(notes))
@@ -177,7 +179,7 @@ def _fits(whole: _Campaign, error: Floats) -> dict[str, list[AxisFit]]:
     assert points is not None
     campaign = replace(whole.campaign, sweeps=replace(points, error_um=error))
     return {
-        axis.name: separate_axis(whole.machine.axis(axis.name), campaign, whole.reference_s, whole.letters)
+        axis.name: separate_axis(whole.machine.axis(axis.name), campaign, whole.reference_s, whole.letters, whole.bent)
         for axis in whole.chain
     }
 
@@ -344,13 +346,14 @@ def _closure_notes(letter: str, own: dict[str, AxisFit], nodes: Nodes) -> tuple[
 
 
 def _without_drift(fitted: AxisFit, drift: dict[int, float]) -> ComponentSeparation:
-    """The component of one axis with the line through zero at P0; its points without constant and drift."""
+    """The component of one axis with its line or bend, zero at P0; its points without constant and drift."""
     s, fit, data = fitted.separation, fitted.fit, fitted.data
     constant = fitted.constant_um
     heated = np.array([drift[int(s.sweep[state])] for state in fit.states])
     weights = state_weights(data, fit.states) if len(fit.states) else np.zeros((len(data.t_s), 0))
     drift_um = weights @ heated
-    line_um = (weights @ fit.slope_um_per_m) * lever_m(data)
+    lever = lever_m(data)
+    line_um = (weights @ fit.slope_um_per_m) * lever + (weights @ fit.bend_um_per_m2) * lever**2
     assert s.points is not None
     points: Points = replace(
         s.points,

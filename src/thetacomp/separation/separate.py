@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,17 +31,20 @@ def separate_folder(folder: MachineFolder) -> tuple[ComponentSeparation, ...]:
     return tuple(result for campaign in folder.campaigns for result in separate_campaign(folder.machine, campaign))
 
 
-def separate_campaign(machine: Machine, campaign: Campaign) -> tuple[ComponentSeparation, ...]:
+def separate_campaign(
+    machine: Machine, campaign: Campaign, bent: Collection[str] = ()
+) -> tuple[ComponentSeparation, ...]:
     """Separate all components of one campaign: from sweeps, from separated parameters, and the drift.
 
-    Raises AnalysisError where an axis has too few points, or where the reference lies outside the measurements.
+    `bent` names the components whose heated sweeps are parabolas instead of lines. Raises AnalysisError where an axis
+    has too few points, or where the reference lies outside the measurements.
     """
     reference_s = reference_time_s(campaign)
     refuse_reference_in_a_sweep(campaign, reference_s)
     results: list[ComponentSeparation] = []
     if campaign.sweeps is not None:
         for axis in machine.axes:
-            results += [fitted.separation for fitted in separate_axis(axis, campaign, reference_s)]
+            results += [fitted.separation for fitted in separate_axis(axis, campaign, reference_s, bent=bent)]
     if campaign.parameters is not None:
         results += _from_parameters(campaign, campaign.parameters, reference_s)
     if campaign.drift is not None:
@@ -50,12 +53,16 @@ def separate_campaign(machine: Machine, campaign: Campaign) -> tuple[ComponentSe
 
 
 def separate_axis(
-    axis: Axis, campaign: Campaign, reference_s: float, letters: Sequence[str] = CARTESIAN
+    axis: Axis,
+    campaign: Campaign,
+    reference_s: float,
+    letters: Sequence[str] = CARTESIAN,
+    bent: Collection[str] = (),
 ) -> list[AxisFit]:
     """Separate all components of one axis on its own: the intercept holds the drift and the tilt of the other axes.
 
-    `letters` names the columns of `error_um`; for angles it is A, B, C and the columns are µrad. Empty where the axis
-    was not swept. Raises AnalysisError where a sweep has too few points.
+    `letters` names the columns of `error_um`; for angles it is A, B, C and the columns are µrad. `bent` as in
+    `separate_campaign`. Empty where the axis was not swept. Raises AnalysisError where a sweep has too few points.
     """
     points = campaign.sweeps
     assert points is not None
@@ -103,6 +110,7 @@ def separate_axis(
             angle_sd_urad=0.0 if is_angle else (campaign.settings.instrument_u_um_per_m or 0.0) / 2.0,
             weight=None if is_angle or points.noise_um is None else _weight(points.noise_um[usable, index]),
             tie=None if is_angle or points.tie_covariance is None else points.tie_covariance[own, index],
+            bent=f"E{direction}{axis.name}" in bent,
         )
         if len(np.unique(data.position_mm)) < 3:
             raise AnalysisError(
@@ -153,8 +161,10 @@ def _component(
     count = len(own)
     intercept, slope = np.zeros(count), np.zeros(count)
     intercept_se, slope_se = np.zeros(count), np.zeros(count)
+    bend, bend_se = np.zeros(count), np.zeros(count)
     intercept[fit.states], slope[fit.states] = fit.intercept_um, fit.slope_um_per_m
     intercept_se[fit.states], slope_se[fit.states] = fit.intercept_se_um, fit.slope_se_um_per_m
+    bend[fit.states], bend_se[fit.states] = fit.bend_um_per_m2, fit.bend_se_um_per_m2
     residual = data.error_um - fit.geometry_um - fit.line_um
     good = ~fit.outlier
     rms = [
@@ -212,14 +222,17 @@ def _component(
         linearity=linearity,
         reversal_um=_reversal_um(curves),
         notes=tuple(own_notes),
+        bend_um_per_m2=bend if data.bent else None,
+        bend_se_um_per_m2=bend_se if data.bent else None,
     )
     return AxisFit(data, fit, separation)
 
 
 def _fit(data: ComponentData) -> tuple[JointFit, LinearityTest | None, tuple[str, ...]]:
-    """The joint fit and its test of shape. Where heat bends the curve, the geometry is that of the cold block alone.
+    """The joint fit and its test of shape. Where that fails, the geometry is that of the cold block alone.
 
-    Else the mean bend of the heated sweeps would count as geometry, and every error before and after look too small.
+    Else the mean change of shape in the heated sweeps would count as geometry, and every error before and after look
+    too small.
     """
     fit = fit_component(data)
     if not len(fit.states):
@@ -234,8 +247,9 @@ def _fit(data: ComponentData) -> tuple[JointFit, LinearityTest | None, tuple[str
         geometry_covariance=shape.geometry_covariance,
         geometry_um=shape.geometry_um,
     )
+    what = "a parabola" if data.bent else "a line"
     note = (
-        f"heat bends the curve by up to {linearity.cost_um:.0f} µm, which a line cannot follow: the geometry is that of"
+        f"heat bends the curve by up to {linearity.cost_um:.0f} µm, which {what} cannot follow: the geometry is that of"
         " the cold block, and the bend counts as error before and after"
     )
     return cold, linearity, (note,)

@@ -66,11 +66,12 @@ def geometry_um(fitted: AxisFit, position_mm: Floats) -> Floats:
 
 
 def axis_share_um(fits: Sequence[AxisFit], letters: Sequence[str], t_s: Floats, position_mm: Floats) -> Floats:
-    """`G(p) - G(P0) + S(t) (p - P0)` of all components of one axis, (n, 3) in the order of `letters`."""
+    """`G(p) - G(P0) + S(t) (p - P0) + C(t) (p - P0)²` of one axis, (n, 3) in the order of `letters`."""
     share = np.zeros((len(t_s), len(letters)))
     for fitted in fits:
-        slope = node_weights(fitted, t_s) @ fitted.fit.slope_um_per_m
+        weights = node_weights(fitted, t_s)
+        slope, bend = weights @ fitted.fit.slope_um_per_m, weights @ fitted.fit.bend_um_per_m2
         arm_m = (position_mm - fitted.data.p0_mm) / 1000.0
         geometry = geometry_um(fitted, position_mm) - fitted.constant_um
-        share[:, letters.index(fitted.separation.direction)] = geometry + slope * arm_m
+        share[:, letters.index(fitted.separation.direction)] = geometry + slope * arm_m + bend * arm_m**2
     return share

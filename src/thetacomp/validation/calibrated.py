@@ -14,7 +14,7 @@ from thetacomp.models.history_law import HistoryLaw, HistoryMoments
 from thetacomp.models.history_model import HistoryModel, history_procedure
 from thetacomp.models.prior import fit_prior
 from thetacomp.separation.result import Bools
-from thetacomp.states import AxisStates, Samples
+from thetacomp.states import AxisStates, Samples, curve_um
 from thetacomp.temperature.history import HistoryLayout
 from thetacomp.validation.border import calibrate_validity
 from thetacomp.validation.conformal import HeldOut, calibrate_band, held_out_leverage, training_reach
@@ -39,8 +39,7 @@ class CalibratedHistory:
     def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
         """Thermal error of samples in µm and the half width of its 95 % band, both (n,)."""
         law = HistoryLaw(self.document, _moments(self.document.layout, states, samples))
-        intercept_um, slope_um_per_m = law.line(component)
-        return intercept_um + slope_um_per_m * samples.lever_m, law.half_width_um(component)
+        return law.error_um(component, samples.lever_m), law.half_width_um(component)
 
 
 def calibrated_history(states: AxisStates) -> CalibratedHistory:
@@ -81,10 +80,13 @@ def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Flo
     name, count = states.components[k], len(states.components)
     rise_K = states.history[:, : len(model.layout.sensors)]
     intercept_prior = _prior(model.layout, rise_K, states.intercept_um[:, k], states)
-    slope = slope_prior = None
+    slope = slope_prior = bend = bend_prior = None
     if not states.is_drift:
         slope = _plain(model.ridge.coef_[count + k])
         slope_prior = _prior(model.layout, rise_K, states.slope_um_per_m[:, k], states)
+    if np.any(np.nan_to_num(states.bend_um_per_m2[:, k])):
+        bend = _plain(model.ridge.coef_[2 * count + k])
+        bend_prior = _prior(model.layout, rise_K, states.bend_um_per_m2[:, k], states)
     samples = states.samples[k]
     samples = samples.take(_complete(samples))
     in_sample_um = samples.value_um - model.predict(name, states, samples)[0]
@@ -93,8 +95,10 @@ def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Flo
             "direction": name[1],
             "intercept_um": _plain(model.ridge.coef_[k]),
             "slope_um_per_m": slope,
+            "bend_um_per_m2": bend,
             "prior_intercept_um_per_K": intercept_prior,
             "prior_slope_um_per_m_per_K": slope_prior,
+            "prior_bend_um_per_m2_per_K": bend_prior,
             "band": calibrate_band(_held_out(states, k, left_out_um)),
             "residual_um": (float(np.sqrt(np.mean(in_sample_um**2))), float(np.abs(in_sample_um).max())),
             "noise_sd_um": float(np.sqrt(np.mean(samples.noise_sd_um**2))),
@@ -107,11 +111,8 @@ def _left_out_um(states: AxisStates, model: HistoryModel, k: int) -> Floats:
     samples = states.samples[k]
     campaign = np.searchsorted(model.ridge.groups_, states.campaign[samples.state])
     coefficients = model.ridge.left_out_coef_[np.minimum(campaign, len(model.ridge.groups_) - 1)]
-    predicted_um: Floats = np.einsum("ij,ij->i", samples.history, coefficients[:, k])
-    if not states.is_drift:
-        slope = np.einsum("ij,ij->i", samples.history, coefficients[:, len(states.components) + k])
-        predicted_um = predicted_um + slope * samples.lever_m
-    return predicted_um
+    parameters: Floats = np.einsum("ij,imj->im", samples.history, coefficients)
+    return curve_um(parameters, k, len(states.components), samples.lever_m)
 
 
 def _held_out(states: AxisStates, k: int, left_out_um: Floats) -> HeldOut:

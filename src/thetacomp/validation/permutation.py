@@ -56,7 +56,8 @@ def _shuffled(states: AxisStates, rng: np.random.Generator) -> AxisStates:
         order = rng.permutation(count)
     else:
         order = (np.arange(count) + rng.integers(count // 10, count - count // 10)) % count
-    return replace(states, intercept_um=states.intercept_um[order], slope_um_per_m=states.slope_um_per_m[order])
+    shuffled = {name: getattr(states, name)[order] for name in ("intercept_um", "slope_um_per_m", "bend_um_per_m2")}
+    return replace(states, **shuffled)
 
 
 def _r_squared(states: AxisStates, procedure: Procedure) -> float | None:
@@ -69,7 +70,7 @@ def _r_squared(states: AxisStates, procedure: Procedure) -> float | None:
     left = spread = 0.0
     for k, component in enumerate(states.components):
         regression = model.regressions[component]
-        y = np.column_stack([states.intercept_um[:, k], states.slope_um_per_m[:, k] * states.half_travel_m])
+        y = np.column_stack([states.line_intercept_um[:, k], states.slope_um_per_m[:, k] * states.half_travel_m])
         scale = np.array([1.0, states.half_travel_m])
         width = len(regression.intercept_)
         rows = np.isfinite(y).all(axis=1) & np.isfinite(X).all(axis=1)

@@ -76,9 +76,11 @@ def model_pattern(
             own = next(s for s in separations if s.campaign == name and s.component == component)
             t_s = 3600.0 * samples.elapsed_h[rows] + float(own.zero_t_s.mean())
             campaign = folder.campaign(name)
-            at_p0 = _at(model, campaign, own, t_s, states.p0_mm)
-            at_1m = _at(model, campaign, own, t_s, states.p0_mm + 1000.0) if own.axis else at_p0
-            expected[0][rows], expected[1][rows] = at_p0, at_1m - at_p0
+            offsets_mm = (0.0, 1000.0, -1000.0) if own.axis else (0.0, 0.0, 0.0)
+            at_p0, ahead, behind = (_at(model, campaign, own, t_s, states.p0_mm + d_mm) for d_mm in offsets_mm)
+            # What bends counts with the intercept: a slope is what changes sign with the position.
+            bend_um = (0.5 * (ahead + behind) - at_p0) * samples.lever_m[rows] ** 2
+            expected[0][rows], expected[1][rows] = at_p0 + bend_um, 0.5 * (ahead - behind)
         out.append(expected)
     return tuple(out), tuple(notes)
 
