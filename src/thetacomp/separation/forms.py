@@ -54,19 +54,21 @@ def bent_components(straight: Sequence[ComponentSeparation]) -> tuple[str, ...]:
 def _bend_notes(components: Sequence[ComponentSeparation], bent: Sequence[str]) -> tuple[str, ...]:
     notes = []
     for name in bent:
-        sag_um = max(_largest_bend_um(s) for s in components if s.component == name)
+        size_um = max(_bend_rms_um(s) for s in components if s.component == name)
         notes.append(
-            f"{name}: heat bends the line, by up to {sag_um:.0f} µm at the ends of the travel: its heated sweeps are"
-            " separated as parabolas. Heat history follows the bend; the law on key points, which a control can carry,"
-            " is a line and leaves it"
+            f"{name}: heat bends the line, by {size_um:.0f} µm at the ends of the travel (RMS over heated sweeps): they"
+            " are separated as parabolas. Heat history follows the bend; the law on key points, which a control can"
+            " carry, is a line and leaves it"
         )
     return tuple(notes)
 
 
-def _largest_bend_um(s: ComponentSeparation) -> float:
-    if s.bend_um_per_m2 is None:
+def _bend_rms_um(s: ComponentSeparation) -> float:
+    """Size of a bend at the farther end of the travel, over the heated sweeps of a campaign."""
+    if s.bend_um_per_m2 is None or s.cold.all():
         return 0.0
-    return float(np.abs(s.bend_um_per_m2).max()) * max(s.p_max_mm - s.p0_mm, s.p0_mm - s.p_min_mm) ** 2 * 1e-6
+    end_m = max(s.p_max_mm - s.p0_mm, s.p0_mm - s.p_min_mm) / 1000.0
+    return float(np.sqrt(np.mean(s.bend_um_per_m2[~s.cold] ** 2))) * end_m**2
 
 
 def _separate_as(machine: Machine, campaigns: Sequence[Campaign], bent: Sequence[str]) -> Separated:
