@@ -52,7 +52,9 @@ class Calibration:
         return next(states for states in self.states if states.axis == axis)
 
 
-def calibrate(folder: MachineFolder, train: Sequence[str], axes: Collection[str], screening: bool = True) -> Calibration:
+def calibrate(
+    folder: MachineFolder, train: Sequence[str], axes: Collection[str], screening: bool = True
+) -> Calibration:
     """Teach a machine by the named campaigns; `axes` and the drift get heat history where campaigns suffice.
 
     Campaigns of several modes are used together, as with `analyze --mix`. Without `screening` the readings are taken

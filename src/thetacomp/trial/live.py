@@ -17,7 +17,7 @@ from thetacomp.volumetric import predict_volume
 
 @dataclass(frozen=True)
 class LiveReadings:
-    """What a machine uses of the readings of a run.
+    """What a machine uses of the readings of a run, with what the loggers read before it.
 
     `lost` says from which moment on which sensors count as lost, in order of time. A sensor that came back would have
     no heat history: it stays lost to the end of the run.
@@ -38,9 +38,9 @@ def live_readings(campaign: Campaign, screening: ScreeningModel | None) -> LiveR
 
     Without `screening` they are used as they were read.
     """
-    table = campaign.temperatures
+    table, duty = _with_lead_in(campaign)
     if screening is None:
-        return LiveReadings(table, campaign.duty, ())
+        return LiveReadings(table, duty, ())
     detector, lost = Detector(screening), frozenset[str]()
     value, switches = np.empty_like(table.value_degC), []
     for i, (t_s, reading) in enumerate(zip(table.t_s, table.value_degC, strict=True)):
@@ -50,7 +50,7 @@ def live_readings(campaign: Campaign, screening: ScreeningModel | None) -> LiveR
         if gone - lost:
             lost = lost | gone
             switches.append((float(t_s), lost))
-    return LiveReadings(replace(table, value_degC=value), campaign.duty, tuple(switches))
+    return LiveReadings(replace(table, value_degC=value), duty, tuple(switches))
 
 
 def live_error_um(
@@ -101,3 +101,18 @@ def _error_um(
     there = {name: position for name, position in positions_mm.items() if name in known}
     found = predict_volume(rest, table, t_s, there, reference=reference_s, duty=live.duty)
     return np.nan_to_num(found.error_um)
+
+
+def _with_lead_in(campaign: Campaign) -> tuple[Temperatures, Duty | None]:
+    """Readings and duty of a campaign in one table with those that came before it."""
+    own, duty, before = campaign.temperatures, campaign.duty, campaign.before
+    if before is None:
+        return own, duty
+    earlier = before.temperatures
+    table = Temperatures(
+        np.concatenate([earlier.t_s, own.t_s]), own.sensor_ids, np.vstack([earlier.value_degC, own.value_degC])
+    )
+    if duty is None or before.duty is None:
+        return table, duty
+    columns = {name: np.concatenate([before.duty.columns[name], duty.columns[name]]) for name in duty.columns}
+    return table, Duty(np.concatenate([before.duty.t_s, duty.t_s]), columns)

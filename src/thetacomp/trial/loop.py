@@ -231,12 +231,47 @@ def _column_rows(axes: Sequence[Axis], positions_mm: Mapping[str, Floats]) -> In
     return np.flatnonzero(np.all(middle, axis=0))
 
 
-def tenth_percentiles(rows: Sequence[Deviation]) -> list[tuple[str, str, float, float]]:
-    """Method, direction, and the 10th percentiles of the measured and of the true reduction over the machines."""
-    keys = dict.fromkeys((row.method, row.direction) for row in rows)
+@dataclass(frozen=True)
+class Summary:
+    """One method and direction over many machines.
+
+    The reductions are (10th percentile, median) in percent, the deviations medians (before, after) in µm.
+    """
+
+    method: str
+    direction: str
+    machines: int
+    measured_percent: tuple[float, float]
+    true_percent: tuple[float, float]
+    measured_um: tuple[float, float]
+    true_um: tuple[float, float]
+
+
+def summaries(rows: Sequence[Deviation]) -> list[Summary]:
+    """Every method and direction over the machines of `rows`, in the order of the rows."""
     out = []
-    for method, direction in keys:
+    for method, direction in dict.fromkeys((row.method, row.direction) for row in rows):
         own = [row for row in rows if (row.method, row.direction) == (method, direction)]
-        measured = float(np.quantile([row.measured_percent for row in own], 0.1))
-        out.append((method, direction, measured, float(np.quantile([row.true_percent for row in own], 0.1))))
+        measured_um = [(row.measured_before_um, row.measured_after_um) for row in own]
+        true_um = [(row.true_before_um, row.true_after_um) for row in own]
+        out.append(
+            Summary(
+                method=method,
+                direction=direction,
+                machines=len(own),
+                measured_percent=_tenth_and_median([row.measured_percent for row in own]),
+                true_percent=_tenth_and_median([row.true_percent for row in own]),
+                measured_um=_medians(measured_um),
+                true_um=_medians(true_um),
+            )
+        )
     return out
+
+
+def _tenth_and_median(values: Sequence[float]) -> tuple[float, float]:
+    return float(np.quantile(values, 0.1)), float(np.median(values))
+
+
+def _medians(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    before, after = np.median(np.array(pairs), axis=0)
+    return float(before), float(after)
