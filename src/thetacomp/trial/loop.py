@@ -2,25 +2,30 @@
 
 As in the paper: the column's deviation is the largest deviation of the tool from its cold reference over the column's
 travel, in X and in Z, over all sweeps after the cold block. It is told as the tracker measures it and as it truly is.
+Calibration and compensation go the way of a user: files, screening, joint form, stored model, positions of all axes.
 """
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from thetacomp.campaign import CARTESIAN, Floats, Ints, MachineFolder, Temperatures
+from thetacomp.campaign import CARTESIAN, Floats, Ints, MachineFolder
+from thetacomp.machine import Axis
 from thetacomp.models.axis_model import clock
 from thetacomp.models.document import ModelDocument
-from thetacomp.prediction import predict
 from thetacomp.reading import read_folder
-from thetacomp.trial.training import Positions, Trained, clock_samples, spindle_duty, train
+from thetacomp.screening import fit_screening
+from thetacomp.states import DRIFT
+from thetacomp.trial.calibration import Calibration, calibrate, stored_models
+from thetacomp.trial.live import LiveReadings, live_error_um, live_readings
+from thetacomp.trial.training import clock_samples
 from thetacomp.twin.campaigns import Correction, Record, Twin, make_twin, plan_campaigns, run_campaign
 from thetacomp.twin.conditions import Conditions
 from thetacomp.twin.virtual import VirtualMachine
@@ -34,16 +39,21 @@ _SMALLEST_GROSS_UM = 1.0
 
 @dataclass(frozen=True)
 class MeasuringPlan:
-    """How the campaigns are measured; everything else stays as the preset has it.
+    """How the campaigns are measured and used; everything else stays as the preset has it.
 
     `calibrations` campaigns train; one more, of other work on another day, verifies. Each point is the mean of
     `readings` readings of the usual dwell. A round has `points` targets an axis; the station stands at `station_mm`.
+    The cold block has `cold_rounds` rounds, and the loggers run `lead_h` before it. Without `screening` the readings
+    are taken as they are. Sensors at other places are those of the machine that is built with them.
     """
 
     calibrations: int = 8
     points: int = 13
     readings: int = 1
     station_mm: tuple[float, float, float] | None = None
+    cold_rounds: int = 2
+    lead_h: float = 0.0
+    screening: bool = True
 
 
 @dataclass(frozen=True)
@@ -78,7 +88,14 @@ def with_plan(conditions: Conditions, plan: MeasuringPlan) -> Conditions:
     scale = float(np.sqrt(kept))
     return conditions.model_copy(
         update={
-            "work": work.model_copy(update={"points": plan.points, "dwell_s": work.dwell_s * plan.readings}),
+            "work": work.model_copy(
+                update={
+                    "points": plan.points,
+                    "dwell_s": work.dwell_s * plan.readings,
+                    "cold_rounds": plan.cold_rounds,
+                    "lead_h": plan.lead_h,
+                }
+            ),
             "tracker": tracker.model_copy(
                 update={
                     "u_um": tracker.u_um * scale,
@@ -99,11 +116,10 @@ def verify_machine(machine: VirtualMachine, conditions: Conditions, plan: Measur
     """
     twin = make_twin(machine, with_plan(conditions, plan), seed)
     plans = plan_campaigns(twin, plan.calibrations + 1)
-    calibration = _measured(twin, [run_campaign(twin, p) for p in plans[:-1]])
-    trained = train(calibration, (COLUMN,))
-    off = run_campaign(twin, plans[-1])
+    records = [run_campaign(twin, p) for p in plans]
+    folder, off = _measured(twin, records), records[-1]
     out = []
-    for method, correction in _corrections(twin, trained, off).items():
+    for method, correction in corrections(folder, off, plan.screening).items():
         on = run_campaign(twin, plans[-1], correction)
         moved = correction(off.temperature_t_s, off.temperature_degC, off.truth.t_s, off.truth.positions_mm)
         true = off.truth.thermal[:, :3]
@@ -159,60 +175,103 @@ def _measured(twin: Twin, records: Sequence[Record]) -> MachineFolder:
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "machine"
         write_machine_folder(path, twin, records)
-        folder = read_folder(path)
-    # Cooling that is switched during every campaign is one mode of work, whichever way it is switched first.
-    one_mode = [replace(c, settings=c.settings.model_copy(update={"mode": "as measured"})) for c in folder.campaigns]
-    return replace(folder, campaigns=tuple(one_mode))
+        return read_folder(path)
 
 
-def _corrections(twin: Twin, trained: Trained, off: Record) -> Mapping[str, Correction]:
-    """What each method adds to the commanded position at the points of the column's sweeps."""
-    (states,) = trained.states
-    timed = clock(states)
-    duty = spindle_duty(off.work, off.temperature_t_s, off.temperature_t_s)
-    ids = tuple(s.id for s in twin.sensors)
-    components = [(name, CARTESIAN.index(name[1])) for name in states.components]
+def corrections(folder: MachineFolder, off: Record, screening: bool = True) -> Mapping[str, Correction]:
+    """What each method adds to the commanded position at the points of the column's sweeps.
 
-    def by_model(model: ModelDocument) -> Correction:
-        def correction(t_s: Floats, reading: Floats, at_s: Floats, positions_mm: Mapping[str, Floats]) -> Floats:
-            rows = _column_rows(twin, positions_mm)
-            table = Temperatures(t_s, ids, reading)
-            table = replace(table, value_degC=table.at(t_s))
-            wanted = Positions(at_s[rows], (COLUMN,) * len(rows), positions_mm[COLUMN][rows])
-            out = np.zeros((len(at_s), 3))
-            out[rows] = -np.nan_to_num(predict(model, table, wanted, off.reference_s, duty=duty).error_um)
-            return out
+    All campaigns of the folder train but the one of `off`, whose readings are screened by what the others taught.
+    """
+    train = [c.name for c in folder.campaigns if c.name != off.plan.name]
+    taught = calibrate(folder, train, (COLUMN,), screening)
+    healthy = fit_screening([folder.campaign(name).temperatures for name in train]) if screening else None
+    live = live_readings(folder.campaign(off.plan.name), healthy)
+    model, paper_model = stored_models(taught, live.ever_lost)
+    return {
+        DEFAULT: _by_model(model, live, off),
+        ONE_SENSOR: _by_model(paper_model, live, off),
+        CLOCK: _by_clock(taught, off),
+    }
 
-        return correction
 
-    def by_clock(t_s: Floats, reading: Floats, at_s: Floats, positions_mm: Mapping[str, Floats]) -> Floats:
-        rows = _column_rows(twin, positions_mm)
-        lever_m = (positions_mm[COLUMN][rows] - states.p0_mm) / 1000.0
-        samples = clock_samples(states, (at_s[rows] - off.reference_s) / 3600.0, lever_m)
+def _by_model(model: ModelDocument, live: LiveReadings, off: Record) -> Correction:
+    # The readings of a run do not depend on the correction, so they are screened once, before.
+    def correction(t_s: Floats, reading: Floats, at_s: Floats, positions_mm: Mapping[str, Floats]) -> Floats:
+        rows = _column_rows(model.axes, positions_mm)
+        there = {name: position[rows] for name, position in positions_mm.items()}
         out = np.zeros((len(at_s), 3))
-        for name, d in components:
-            out[rows, d] = -timed.predict(name, states, samples)[0]
+        out[rows] = -live_error_um(model, live, at_s[rows], there, off.reference_s)
         return out
 
-    return {DEFAULT: by_model(trained.model), ONE_SENSOR: by_model(trained.paper_model), CLOCK: by_clock}
+    return correction
 
 
-def _column_rows(twin: Twin, positions_mm: Mapping[str, Floats]) -> Ints:
+def _by_clock(taught: Calibration, off: Record) -> Correction:
+    """The drift by the clock and what the column adds by the clock: in the joint form they are two parts."""
+    cold_s = off.truth.t_s[(off.truth.t_s <= off.reference_s) & (off.truth.axis >= 0)].mean()
+    parts = [(states, clock(states)) for states in (taught.of_axis(COLUMN), taught.of_axis(DRIFT))]
+
+    def correction(t_s: Floats, reading: Floats, at_s: Floats, positions_mm: Mapping[str, Floats]) -> Floats:
+        rows = _column_rows(taught.folder.machine.axes, positions_mm)
+        out = np.zeros((len(at_s), 3))
+        for states, timed in parts:
+            lever_m = 0.0 if states.is_drift else (positions_mm[COLUMN][rows] - states.p0_mm) / 1000.0
+            samples = clock_samples(states, (at_s[rows] - cold_s) / 3600.0, lever_m)
+            for name in states.components:
+                out[rows, CARTESIAN.index(name[1])] -= timed.predict(name, states, samples)[0]
+        return out
+
+    return correction
+
+
+def _column_rows(axes: Sequence[Axis], positions_mm: Mapping[str, Floats]) -> Ints:
     """Points at which all axes but the column's stand in the middle."""
-    middle = [
-        positions_mm[a.name] == 0.5 * (a.travel_mm[0] + a.travel_mm[1])
-        for a in twin.machine.description.axes
-        if a.name != COLUMN
-    ]
+    middle = [positions_mm[a.name] == 0.5 * sum(a.travel_mm) for a in axes if a.name != COLUMN]
     return np.flatnonzero(np.all(middle, axis=0))
 
 
-def tenth_percentiles(rows: Sequence[Deviation]) -> list[tuple[str, str, float, float]]:
-    """Method, direction, and the 10th percentiles of the measured and of the true reduction over the machines."""
-    keys = dict.fromkeys((row.method, row.direction) for row in rows)
+@dataclass(frozen=True)
+class Summary:
+    """One method and direction over many machines.
+
+    The reductions are (10th percentile, median) in percent, the deviations medians (before, after) in µm.
+    """
+
+    method: str
+    direction: str
+    machines: int
+    measured_percent: tuple[float, float]
+    true_percent: tuple[float, float]
+    measured_um: tuple[float, float]
+    true_um: tuple[float, float]
+
+
+def summaries(rows: Sequence[Deviation]) -> list[Summary]:
+    """Every method and direction over the machines of `rows`, in the order of the rows."""
     out = []
-    for method, direction in keys:
+    for method, direction in dict.fromkeys((row.method, row.direction) for row in rows):
         own = [row for row in rows if (row.method, row.direction) == (method, direction)]
-        measured = float(np.quantile([row.measured_percent for row in own], 0.1))
-        out.append((method, direction, measured, float(np.quantile([row.true_percent for row in own], 0.1))))
+        measured_um = [(row.measured_before_um, row.measured_after_um) for row in own]
+        true_um = [(row.true_before_um, row.true_after_um) for row in own]
+        out.append(
+            Summary(
+                method=method,
+                direction=direction,
+                machines=len(own),
+                measured_percent=_tenth_and_median([row.measured_percent for row in own]),
+                true_percent=_tenth_and_median([row.true_percent for row in own]),
+                measured_um=_medians(measured_um),
+                true_um=_medians(true_um),
+            )
+        )
     return out
+
+
+def _tenth_and_median(values: Sequence[float]) -> tuple[float, float]:
+    return float(np.quantile(values, 0.1)), float(np.median(values))
+
+
+def _medians(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    before, after = np.median(np.array(pairs), axis=0)
+    return float(before), float(after)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,16 +21,18 @@ def with_fallbacks(
     campaigns: Sequence[str],
     states: AxisStates,
     whole: CalibratedHistory,
+    wanted: Collection[str] | None = None,
 ) -> HistoryAxis:
     """The document of an axis with a fallback for each sensor of its layout; none for a layout of one sensor.
 
-    `states` are those that `whole` was fitted on, from `separations` of the training `campaigns`.
+    `states` are those that `whole` was fitted on, from `separations` of the training `campaigns`. `wanted` names the
+    sensors that need one, all by default: every fallback is fitted on its own.
     """
     axis = whole.document
     own = [s for s in separations if (s.axis or "") == states.axis]
     sensors = axis.layout.sensors if len(axis.layout.sensors) > 1 else ()
     made = []
-    for lost in sensors:
+    for lost in sensors if wanted is None else [name for name in sensors if name in wanted]:
         (rest,) = axis_states(_without(folder, lost), own, campaigns)
         fitted = calibrated_history(rest)
         accuracy = {
