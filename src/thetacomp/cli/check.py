@@ -63,7 +63,8 @@ def _campaign_line(campaign: CampaignSummary) -> str:
             text += " sweep" if sum(campaign.sweeps.values()) == 1 else " sweeps"
             text += "" if campaign.direction_given else " (direction not given: inferred from the motion)"
         tables.append(text)
-    return f"  {campaign.name}: {campaign.duration_s / 3600:.2f} h; {'; '.join(tables)}"
+    before = f" after {campaign.lead_s / 3600:.2f} h of logging" if campaign.lead_s else ""
+    return f"  {campaign.name}: {campaign.duration_s / 3600:.2f} h{before}; {'; '.join(tables)}"
 
 
 def _verdict(errors: int, warnings: int) -> str:

@@ -15,28 +15,38 @@ def twin(
     preset: Annotated[str, typer.Option(help="standard, hard, or the path of a TOML file of conditions.")] = "standard",
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 1,
     campaigns: Annotated[int, typer.Option(min=1, max=26, help="Number of campaigns; the first is the paper's.")] = 4,
+    places: Annotated[
+        Path | None, typer.Option(help="A places.csv of `thetacomp place`: the machine then carries these sensors.")
+    ] = None,
+    strategy: Annotated[str, typer.Option(help="Whose places of that table; see `thetacomp place`.")] = "displacement",
     as_json: JsonOption = False,
 ) -> None:
     """Write a virtual boring and milling machine with its measured campaigns: a machine to try things on."""
-    run(lambda: _work(out, preset, seed, campaigns), as_json)
+    run(lambda: _work(out, preset, seed, campaigns, places, strategy), as_json)
 
 
-def _work(out: Path, preset: str, seed: int, campaigns: int) -> Outcome:
+def _work(out: Path, preset: str, seed: int, campaigns: int, places: Path | None, strategy: str) -> Outcome:
     from thetacomp.twin.campaigns import make_twin, plan_campaigns
     from thetacomp.twin.conditions import load_conditions
     from thetacomp.twin.description import load_description
     from thetacomp.twin.picture import draw_machine
+    from thetacomp.twin.sensor_sets import read_places, with_sensors
     from thetacomp.twin.virtual import build
     from thetacomp.twin.writer import refuse_filled, truth_folder, write_twin
 
     refuse_filled(out)
     conditions = load_conditions(preset)
-    machine = build(load_description(conditions.machine))
+    description = load_description(conditions.machine)
+    if places is not None:
+        description = with_sensors(description, read_places(places, strategy))
+    machine = build(description)
     made = make_twin(machine, conditions, seed)
     records = write_twin(out, made, plan_campaigns(made, campaigns))
     picture = truth_folder(out) / "machine.png"
     draw_machine(machine, records[0], conditions.work.tool_length_mm, picture, picture.with_suffix(".svg"))
     lines = [f"{out}: {machine.description.name}, preset {conditions.name}, seed {seed}"]
+    if places is not None:
+        lines[0] += f", {len(description.sensors)} sensors of {places} ({strategy})"
     for record in records:
         points = int((record.truth.axis >= 0).sum())
         lines.append(
@@ -50,5 +60,6 @@ def _work(out: Path, preset: str, seed: int, campaigns: int) -> Outcome:
         "preset": conditions.name,
         "seed": seed,
         "campaigns": [record.plan.name for record in records],
+        "sensors": [sensor.id for sensor in description.sensors],
     }
     return Outcome("\n".join(lines), data)

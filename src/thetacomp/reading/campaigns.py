@@ -21,6 +21,7 @@ from thetacomp.campaign import (
 from thetacomp.machine import Machine
 from thetacomp.reading import checks, tracker
 from thetacomp.reading.columns import ERRORS
+from thetacomp.reading.lead_in import with_lead_in
 from thetacomp.reading.problems import ProblemList, quoted
 from thetacomp.reading.sweep_table import at_mm, rotations, sweep_points
 from thetacomp.reading.tables import Table
@@ -58,7 +59,7 @@ def build(
     problems.extend(found)
     if found.has_errors or heat is None:
         return None
-    return Campaign(name, settings, heat, sweeps, drift, lines, work, start, tracker=tie)
+    return with_lead_in(Campaign(name, settings, heat, sweeps, drift, lines, work, start, tracker=tie))
 
 
 def _common_start(place: str, tables: Mapping[str, Table], problems: ProblemList) -> tuple[int, datetime | None]:

@@ -13,6 +13,7 @@ from thetacomp.campaign import Campaign, MachineFolder
 class CampaignSummary:
     """Size of one campaign. `points` is the number of rows of each table; `duration_s` that of the temperatures.
 
+    `lead_s` is how long temperatures were logged before it, 0 where they were not; its rows are not counted.
     `direction_given` is False where the approach of some sweep was inferred from the motion. `tracker` says how tracker
     points were brought into the machine frame.
     """
@@ -24,6 +25,7 @@ class CampaignSummary:
     sweeps: dict[str, int]
     direction_given: bool = True
     tracker: tuple[str, ...] = ()
+    lead_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,4 +69,11 @@ def _campaign(campaign: Campaign) -> CampaignSummary:
         sweeps=sweeps,
         direction_given=campaign.sweeps is None or campaign.sweeps.direction_given,
         tracker=campaign.tracker.notes if campaign.tracker is not None else (),
+        lead_s=_lead_s(campaign),
     )
+
+
+def _lead_s(campaign: Campaign) -> float:
+    if campaign.before is None or not len(campaign.before.temperatures.t_s):
+        return 0.0
+    return float(campaign.temperatures.t_s[0] - campaign.before.temperatures.t_s[0])

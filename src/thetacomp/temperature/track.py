@@ -83,6 +83,26 @@ def history_track(campaign: Campaign, layout: HistoryLayout, zero_t_s: Floats) -
     return replace(track, reference=track.absolute(zero_t_s).mean(axis=0))
 
 
+def unbroken(campaign: Campaign) -> tuple[Temperatures, Duty | None]:
+    """Temperatures and duty of a campaign with what came before it as one recording, for filters to run through.
+
+    Where nobody logged the duty before the campaign the machine counts as standing still, as in `history_track`.
+    """
+    own, duty, before = campaign.temperatures, campaign.duty, campaign.before
+    if before is None or not len(before.temperatures.t_s):
+        return own, duty
+    earlier = before.temperatures
+    columns = [earlier.sensor_ids.index(name) for name in own.sensor_ids]
+    value_degC = np.vstack([earlier.value_degC[:, columns], own.value_degC])
+    whole = replace(own, t_s=np.concatenate([earlier.t_s, own.t_s]), value_degC=value_degC)
+    if duty is None:
+        return whole, None
+    past = before.duty or Duty(earlier.t_s[:1], {name: np.zeros(1) for name in duty.columns})
+    names = [name for name in duty.columns if name in past.columns]
+    joined = {name: np.concatenate([past.columns[name], duty.columns[name]]) for name in names}
+    return whole, Duty(np.concatenate([past.t_s, duty.t_s]), joined)
+
+
 def _speed_rpm(duty: Duty | None, t_s: Floats) -> Floats:
     """Spindle speed at the times of the temperatures: it holds until the next entry of the duty table."""
     if duty is None or SPEED not in duty.columns:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, timedelta
 
 import numpy as np
@@ -90,7 +90,11 @@ class SweepTruth:
 
 @dataclass(frozen=True)
 class Record:
-    """What was measured in a campaign, and the truth. Temperatures (n, sensors), tool errors (points, 3)."""
+    """What was measured in a campaign, and the truth. Temperatures (n, sensors), tool errors (points, 3).
+
+    Times count from the begin of the campaign. The loggers ran `lead_s` before it: readings and `work` begin there, the
+    readings at negative times; `work_t_s` are the moments at which the minutes of `work` begin.
+    """
 
     plan: Plan
     reference_s: float
@@ -102,6 +106,12 @@ class Record:
     truth: SweepTruth
     history: History
     begin_s: float
+    lead_s: float = 0.0
+
+    @property
+    def work_t_s(self) -> Floats:
+        """When each minute of `work` begins, (minutes,)."""
+        return STEP_S * np.arange(float(len(self.work.on))) - self.lead_s
 
 
 def plan_campaigns(twin: Twin, count: int) -> tuple[Plan, ...]:
@@ -130,16 +140,40 @@ def run_campaign(twin: Twin, plan: Plan, correction: Correction | None = None) -
     machine, conditions, sensors = twin.machine, twin.conditions, twin.sensors
     rng = np.random.default_rng([twin.seed, 2, plan.number])
     timetable, work = _timetable(machine, conditions, plan, rng)
-    history, begin_s = _live(machine, conditions, plan, work, rng)
+    history, begin_s, lived = _live(machine, conditions, plan, work, rng)
     faults = draw_faults(rng, [s.id for s in sensors], conditions.pt100, len(work.on) * STEP_S)
     t_s, reading = read_sensors(rng, history, sensors, faults, conditions.pt100, begin_s)
+    lead_min = round(conditions.work.lead_h * 60)
+    if lead_min:
+        before_s, before = _read_before(twin, plan, history, begin_s, lead_min * STEP_S)
+        t_s, reading = np.concatenate([before_s, t_s]), np.vstack([before, reading])
+        work = duty.part(lived, round(begin_s / STEP_S) - lead_min, len(lived.on))
     truth = true_points(twin, history, begin_s, timetable)
     error = truth.thermal[:, :3] + truth.geometry[:, :3]
     if correction is not None:
         error = error + correction(t_s, reading, truth.t_s, truth.positions_mm)
     measured = measure_points(rng, conditions, truth, error, timetable.cold)
     reference_s = float(np.ceil(truth.t_s[timetable.cold].max()))
-    return Record(plan, reference_s, t_s, reading, measured, work, faults, truth, history, begin_s)
+    return Record(plan, reference_s, t_s, reading, measured, work, faults, truth, history, begin_s, lead_min * STEP_S)
+
+
+def _read_before(twin: Twin, plan: Plan, history: History, begin_s: float, lead_s: float) -> tuple[Floats, Floats]:
+    """Readings at negative times, of loggers that ran `lead_s` before the campaign, when no sensor was broken yet.
+
+    They have a random stream of their own: with or without them the campaign comes out the same.
+    """
+    rng = np.random.default_rng([twin.seed, 5, plan.number])
+    pt100, earlier = twin.conditions.pt100, history.t_s <= begin_s
+    past = replace(
+        history,
+        t_s=history.t_s[earlier],
+        sensors_degC=history.sensors_degC[earlier],
+        air_degC=history.air_degC[earlier],
+    )
+    count = int(lead_s // pt100.sample_s)  # on the clock of the campaign's own samples
+    start_s = begin_s - count * pt100.sample_s
+    _, reading = read_sensors(rng, past, twin.sensors, (), pt100, start_s)
+    return -pt100.sample_s * np.arange(float(count), 0.0, -1.0), reading[:count]
 
 
 def measure_points(
@@ -175,7 +209,7 @@ def _timetable(
     """When every point is taken, and the minutes of work between the rounds of sweeps."""
     settings, axes = conditions.work, machine.description.axes
     names = [a.name for a in axes]
-    rounds = [("cold", 0), ("cold", 0)]
+    rounds = [("cold", 0)] * settings.cold_rounds
     blocks = round(settings.warm_h * 60 / settings.between_sweeps_min)
     rounds += [("warm", round(settings.warm_h * 60 / blocks))] * blocks
     cools = round(settings.cool_h * 60 / settings.between_sweeps_min)
@@ -253,8 +287,8 @@ def _chiller(plan: Plan, n: int, rng: np.random.Generator) -> Floats:
 
 def _live(
     machine: VirtualMachine, conditions: Conditions, plan: Plan, work: Work, rng: np.random.Generator
-) -> tuple[History, float]:
-    """Some days before, the night, and the campaign; `begin_s` is when the campaign starts in the history."""
+) -> tuple[History, float, Work]:
+    """Some days before, the night, and the campaign; when the campaign starts in the history; all the work."""
     names = [a.name for a in machine.description.axes]
     before = duty.weeks(rng, DAYS_BEFORE, names, conditions.work, first_weekday=int(rng.integers(0, 7)))
     night = duty.idle(START_HOUR * 60, names)
@@ -265,7 +299,7 @@ def _live(
     start_air = air[:1440].mean(axis=0)
     start_air[0] = yearly_degC(conditions.hall, np.array([plan.day - DAYS_BEFORE]))[0] - reference
     history = simulate(machine, whole, air, floor, rest_state(machine, start_air, float(floor[0])))
-    return history, (len(before.on) + len(night.on)) * STEP_S
+    return history, (len(before.on) + len(night.on)) * STEP_S, whole
 
 
 def true_points(twin: Twin, history: History, begin_s: float, table: Timetable) -> SweepTruth:

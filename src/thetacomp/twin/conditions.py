@@ -14,6 +14,7 @@ PRESETS = ("standard", "hard")
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
+LONGEST_LEAD_H = 72.0  # the three days of work that are lived before a campaign
 
 
 class Hall(Strict):
@@ -44,8 +45,10 @@ class Hall(Strict):
 
 
 class Work(Strict):
-    """What the machine does. A campaign is a cold block, `warm_h` of work and `cool_h` without; sweeps every
-    `between_sweeps_min`. Each point of a sweep takes `dwell_s` and the travel at `sweep_feed_m_min`."""
+    """What the machine does. A campaign is a cold block of `cold_rounds` rounds of sweeps, `warm_h` of work and
+    `cool_h` without; sweeps every `between_sweeps_min`. Each point of a sweep takes `dwell_s` and the travel at
+    `sweep_feed_m_min`. The loggers of temperature and duty run `lead_h` before the campaign begins, at most 72 h: what
+    the machine did earlier is not lived through."""
 
     rpm_max: Positive
     feed_m_min_max: Positive
@@ -60,6 +63,8 @@ class Work(Strict):
     chiller_change: bool
     spacing_days: Positive
     first_day: Annotated[int, Field(ge=0, le=365)]
+    cold_rounds: Annotated[int, Field(ge=1, le=24)] = 2
+    lead_h: Annotated[float, Field(ge=0, le=LONGEST_LEAD_H)] = 0.0
 
 
 class Pt100(Strict):

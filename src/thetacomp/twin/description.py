@@ -203,7 +203,8 @@ class TwinAxis(Axis):
 
 
 class TwinSensor(Strict):
-    """A Pt100: where it sits in the field (`place`: a lump, rod or patch; at_mm picks the spot on rod and patch)."""
+    """A Pt100: where it sits in the field. `place` is a lump, rod, patch or body; at_mm picks the spot on rod and
+    patch, on a body the nearest node of its surface."""
 
     id: str
     location: str
@@ -269,7 +270,7 @@ class Description(Strict):
             wanted += [(f"axis {a.name}", n, patches) for n in (*a.lower_pads, *a.upper_pads)]
             wanted += [(f"axis {a.name}", n, patches) for n in (a.measuring.datum, a.measuring.head)]
             wanted.append((f"axis {a.name}", a.measuring.rod, rods))
-        wanted += [(f"sensor {s.id}", s.place, places) for s in self.sensors]
+        wanted += [(f"sensor {s.id}", s.place, places | bodies) for s in self.sensors]
         wanted += [("ground", g, patches) for g in self.ground]
         wanted += [("nose", self.nose, patches), ("spindle", self.spindle, rods)]
         wanted.append(("cooling", self.cooling.lump, {lump.name for lump in self.lumps}))

@@ -67,6 +67,12 @@ def join(parts: Sequence[Work]) -> Work:
     )
 
 
+def part(work: Work, first: int, end: int) -> Work:
+    """The minutes from `first` up to `end`."""
+    feeds = {axis: feed[first:end] for axis, feed in work.feed_m_min.items()}
+    return Work(work.on[first:end], work.rpm[first:end], feeds, work.chiller[first:end])
+
+
 def with_chiller(work: Work, chiller: Floats) -> Work:
     """The same work with the chiller switched as given (n,); it runs only while the machine is on."""
     return Work(work.on, work.rpm, work.feed_m_min, chiller * work.on)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -56,6 +56,25 @@ class NodeWeights:
     def area_m2(self) -> float:
         """Area of that part of the faces."""
         return float(self.weight_m2.sum())
+
+
+def nearest_surface_node(mesh: BodyMesh, at_mm: Sequence[float]) -> tuple[int, float]:
+    """The node on a face, outside or inside, that is nearest to a place, and its distance in mm."""
+    nodes = np.unique(mesh.faces.corners)
+    apart_mm = np.linalg.norm(mesh.points_m[nodes] * 1e3 - np.asarray(at_mm), axis=1)
+    best = int(np.argmin(apart_mm))
+    return int(nodes[best]), float(apart_mm[best])
+
+
+def sides(mesh: BodyMesh, nodes: Ints | Sequence[int]) -> list[str]:
+    """Where the faces at nodes look, such as "-X" or "-X+Y"."""
+    looks = np.zeros((len(mesh.points_m), 6), dtype=bool)
+    for column in range(6):
+        axis, sign = divmod(column, 2)
+        faces = mesh.faces.corners[mesh.faces.normal[:, axis] == (1.0 if sign else -1.0)]
+        looks[faces, column] = True
+    names = [f"{sign}{axis}" for axis in AXES for sign in "-+"]
+    return ["".join(name for name, seen in zip(names, looks[k], strict=True) if seen) for k in nodes]
 
 
 def mesh_body(body: Body, refinement: float = 1.0) -> BodyMesh:

@@ -13,7 +13,7 @@ from thetacomp.errors import AnalysisError, InputError, Problem
 from thetacomp.machine import Strict
 from thetacomp.twin.description import Description, Point
 from thetacomp.twin.files import load_toml
-from thetacomp.twin.mesh import AXES, BodyMesh, Floats, Ints, patch_weights
+from thetacomp.twin.mesh import BodyMesh, Floats, Ints, patch_weights, sides
 from thetacomp.twin.virtual import VirtualMachine
 
 MOUNTINGS = ("tk6920_mounting",)
@@ -123,14 +123,4 @@ def _open_nodes(mesh: BodyMesh, mounting: Mounting, description: Description) ->
             lo, hi = np.array(box.from_mm) - _TOUCH_MM, np.array(box.to_mm) + _TOUCH_MM
             allowed &= ~np.all((points_mm >= lo) & (points_mm <= hi), axis=1)
     nodes = np.flatnonzero(allowed)
-    return nodes, _sides(mesh, nodes)
-
-
-def _sides(mesh: BodyMesh, nodes: Ints) -> list[str]:
-    looks = np.zeros((len(mesh.points_m), 6), dtype=bool)
-    for column in range(6):
-        axis, sign = divmod(column, 2)
-        faces = mesh.faces.corners[mesh.faces.normal[:, axis] == (1.0 if sign else -1.0)]
-        looks[faces, column] = True
-    names = [f"{sign}{axis}" for axis in AXES for sign in "-+"]
-    return ["".join(name for name, seen in zip(names, looks[k], strict=True) if seen) for k in nodes]
+    return nodes, sides(mesh, nodes)

@@ -22,6 +22,7 @@ from thetacomp.twin.labels import Label, arrange
 from thetacomp.twin.mesh import AXES, BodyMesh, Floats, Ints
 from thetacomp.twin.operation import STEP_S
 from thetacomp.twin.raster import Canvas, contour_lines, paint, smaller
+from thetacomp.twin.sensor_sets import PLACED
 from thetacomp.twin.virtual import VirtualMachine
 
 # Where the eye stands: in front of the machine on the headstock's side, and behind it on the other side.
@@ -110,8 +111,8 @@ def warm_machine(
 def draw_machine(machine: VirtualMachine, record: Record, tool_length_mm: float, *paths: Path) -> None:
     """Draw the end of the warm-up of a campaign against its cold reference and save it as PNG and SVG, by the paths."""
     truth, history = record.truth, record.history
-    busy = np.flatnonzero(record.work.rpm > 0)
-    warm_s = record.begin_s + STEP_S * (float(busy[-1]) + 1 if len(busy) else len(record.work.on))
+    busy = record.work_t_s[(record.work.rpm > 0) & (record.work_t_s >= 0)]
+    warm_s = record.begin_s + STEP_S + (busy[-1] if len(busy) else record.work_t_s[-1])
     states = [history.states[int(np.argmin(np.abs(history.kept_s - t)))] for t in (record.begin_s, warm_s)]
     cold, warm = (machine.reduced.shapes @ state for state in states)
     positions = {name: float(np.median(p[truth.axis == -1])) for name, p in truth.positions_mm.items()}
@@ -127,9 +128,14 @@ def sensor_marks(machine: VirtualMachine, color: str = "white") -> tuple[Mark, .
     """The sensors of the description."""
     oil = machine.description.cooling.lump
     return tuple(
-        Mark(s.id.replace("theta_", "θ") + (" oil tank" if s.place == oil else ""), s.place, s.at_mm, color)
+        Mark(_short(s.id) + (" oil tank" if s.place == oil else ""), s.place, s.at_mm, color)
         for s in machine.description.sensors
     )
+
+
+def _short(sensor: str) -> str:
+    """An id as it is written beside its dot; a chosen place has its rank, as in the picture of `thetacomp place`."""
+    return sensor.removeprefix(PLACED).replace("theta_", "θ")
 
 
 def machine_figure(

@@ -19,7 +19,16 @@ from skfem import BilinearForm
 from thetacomp.errors import AnalysisError
 from thetacomp.twin.description import Air, Body, Description, Material, Patch, Rod, TwinSensor
 from thetacomp.twin.elastic import Scalar
-from thetacomp.twin.mesh import AXES, BodyMesh, Floats, Ints, NodeWeights, face_weights, patch_weights
+from thetacomp.twin.mesh import (
+    AXES,
+    BodyMesh,
+    Floats,
+    Ints,
+    NodeWeights,
+    face_weights,
+    nearest_surface_node,
+    patch_weights,
+)
 
 AIR_INPUTS = ("air_K", "air_gradient_K_per_m", "air_rear_K_per_m", "air_side_K_per_m", "draught_K")
 GROUND_INPUT = "ground_K"
@@ -257,6 +266,9 @@ def sensor_rows(description: Description, meshes: Mapping[str, BodyMesh], system
             rod = rods[sensor.place]
             distance = np.linalg.norm(rod_points_m(rod) - np.array(sensor.at_mm) * 1e-3, axis=1)
             row[system.offset[rod.name] + int(np.argmin(distance))] = 1.0
+        elif sensor.place in meshes:
+            node, _ = nearest_surface_node(meshes[sensor.place], sensor.at_mm)
+            row[system.offset[sensor.place] + node] = 1.0
         else:
             row[system.offset[sensor.place]] = 1.0
     return rows

@@ -11,7 +11,6 @@ from thetacomp import __version__
 from thetacomp.errors import AnalysisError
 from thetacomp.twin.campaigns import NEW_YEAR, START_HOUR, Plan, Record, Twin, run_campaign
 from thetacomp.twin.mesh import AXES, Floats
-from thetacomp.twin.operation import STEP_S
 
 _AXIS_DRIFT = -1
 _TRUTH_POSITIONS = 25
@@ -94,7 +93,7 @@ def write_campaign(folder: Path, twin: Twin, record: Record, compensation: str =
         folder / "duty.csv",
         ["t_s", "spindle_rpm", "feed_mm_min", *feeds, "hydraulics_on", "chiller_on"],
         [
-            _texts(STEP_S * np.arange(float(len(work.on))), 0),
+            _texts(record.work_t_s, 0),
             _texts(work.rpm, 0),
             _texts(np.max(list(feeds.values()), axis=0), 0),
             *(_texts(f, 0) for f in feeds.values()),
@@ -129,7 +128,7 @@ def write_truth(folder: Path, twin: Twin, record: Record) -> None:
             *(_texts(c, 3) for c in truth.geometry.T),
         ],
     )
-    from_start = record.history.t_s >= record.begin_s
+    from_start = record.history.t_s >= record.begin_s - record.lead_s
     t_s = record.history.t_s[from_start]
     _table(
         folder / "temperatures.csv",

@@ -18,6 +18,7 @@ from thetacomp.models.procedures import key_point_procedure
 from thetacomp.prediction import predict
 from thetacomp.separation import ComponentSeparation
 from thetacomp.states import AxisStates
+from thetacomp.temperature.track import unbroken
 from thetacomp.volumetric import predict_volume
 
 Expected = tuple[Floats, Floats]
@@ -86,6 +87,7 @@ def model_pattern(
 def _at(model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s: Floats, position_mm: float) -> Floats:
     """Predicted error at one position less its mean over the cold block, (n,)."""
     times = np.concatenate([own.zero_t_s, t_s])
+    temperatures, duty = unbroken(campaign)
     # A tracker measures true metres, whatever length the parts shall have.
     model = model.model_copy(update={"length": WantedLength()})
     zero_s = float(own.zero_t_s.mean())
@@ -96,11 +98,11 @@ def _at(model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s:
     if model.form == "joint" and own.axis:
         # Here the drift is a component of its own, and the other axes tilt where they stand.
         places_mm = _standing_mm(model, campaign, own.axis, times) | {own.axis: np.full(len(times), position_mm)}
-        whole = predict_volume(model, campaign.temperatures, times, places_mm, None, zero_s, place, duty=campaign.duty)
+        whole = predict_volume(model, temperatures, times, places_mm, None, zero_s, place, duty=duty)
         value = whole.error_um[:, CARTESIAN.index(own.direction)]
     else:
         places = _Places(times, (own.axis or "",) * len(times), np.full(len(times), position_mm))
-        prediction = predict(model, campaign.temperatures, places, zero_s, place, campaign.duty)
+        prediction = predict(model, temperatures, places, zero_s, place, duty)
         value = prediction.error_um[:, CARTESIAN.index(own.direction)]
     cold = value[: len(own.zero_t_s)]
     zero = float(cold[np.isfinite(cold)].mean()) if np.isfinite(cold).any() else 0.0
