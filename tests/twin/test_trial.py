@@ -13,15 +13,13 @@ from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
 from thetacomp.trial.figures import month_by_month
-from thetacomp.trial.loop import MeasuringPlan, column_deviation_um, tenth_percentiles, verify_machine, with_plan
 from thetacomp.trial.monthly import TOOL, acceptance, by_hour, monthly
 from thetacomp.trial.page import write_trial
 from thetacomp.trial.probing import Course, adapt
 from thetacomp.trial.run import ADAPTIVE, FROZEN, NOTHING, ONE_SENSOR, Trial, run_trial, stated_places
-from thetacomp.twin.campaigns import Twin, plan_campaigns, run_campaign
-from thetacomp.twin.conditions import Conditions, Tracker
+from thetacomp.twin.campaigns import Twin
+from thetacomp.twin.conditions import Tracker
 from thetacomp.twin.hall import DAY_S
-from thetacomp.twin.virtual import VirtualMachine
 from thetacomp.twin.year import COLD_HOUR, Schedule, Year, live_a_year
 
 SHORT = Schedule((1, 1), cold_rounds=2, between_rounds_min=240, months=1)
@@ -175,28 +173,6 @@ def test_an_hour_is_the_mean_of_its_rows() -> None:
     np.testing.assert_array_equal(by_hour(t_s, np.array([[1.0], [3.0], [5.0], [9.0]])), [[2.0], [7.0]])
 
 
-def test_more_readings_make_the_points_better_and_nothing_else(standard: Conditions) -> None:
-    plan = with_plan(standard, MeasuringPlan(points=9, readings=4))
-    old, new = standard.tracker, plan.tracker
-    assert new.u_um**2 * new.white_share == pytest.approx(old.u_um**2 * old.white_share / 4)
-    assert new.u_um**2 * new.sweep_share == pytest.approx(old.u_um**2 * old.sweep_share)
-    day = old.u_um_per_m**2 * (1 - old.white_share - old.sweep_share)
-    assert new.u_um_per_m**2 * (1 - new.white_share - new.sweep_share) == pytest.approx(day)
-    assert plan.work.dwell_s == 4 * standard.work.dwell_s
-    assert (plan.hall, plan.pt100) == (standard.hall, standard.pt100)
-
-
-def test_column_deviation_of_a_known_lean_with_a_gross_error(twin: Twin) -> None:
-    """Geometry of 200 µm cancels, 30 µm/m of lean are 45 µm at the ends, one gross error does not count."""
-    record = run_campaign(twin, plan_campaigns(twin, 1)[0])
-    lever_m = (record.truth.positions_mm["Y"] - 1500.0) / 1000.0
-    error = 200.0 * np.sin(record.truth.positions_mm["Y"]) + 30.0 * lever_m * (record.truth.t_s > record.reference_s)
-    error += 5.0 * record.truth.direction  # reversal
-    assert column_deviation_um(twin, record, error) == pytest.approx(45.0, abs=1.0)
-    error[np.flatnonzero((record.truth.axis == 1) & (record.truth.t_s > record.reference_s))[40]] += 300.0
-    assert column_deviation_um(twin, record, error) == pytest.approx(45.0, abs=1.0)
-
-
 @pytest.mark.parametrize("training", ["2,2,x", "5", "6,6", "3,0,3", ""])
 def test_a_training_that_is_no_schedule_is_refused(training: str, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["trial", "--out", str(tmp_path / "out"), "--training", training])
@@ -221,14 +197,3 @@ def test_a_short_trial_from_end_to_end(twin: Twin, tmp_path: Path) -> None:
     assert page.count("<svg") == 2
     assert "adaptive default" in page
     assert month_by_month(rows).name == "month_by_month"
-
-
-@pytest.mark.slow
-def test_a_verified_machine_loses_most_of_its_column_deviation(coarse: VirtualMachine, standard: Conditions) -> None:
-    rows = verify_machine(coarse, standard, MeasuringPlan(calibrations=4, points=9, readings=4), seed=3)
-    found = {(row.method, row.direction): row for row in rows}
-    assert found["default", "Z"].true_percent > 85.0
-    assert found["default", "Z"].true_percent > found["one_sensor", "Z"].true_percent
-    assert found["default", "X"].true_percent > 40.0
-    assert found["clock", "Z"].true_percent < 60.0
-    assert len(tenth_percentiles(rows)) == 6

@@ -36,11 +36,11 @@ class LiveReadings:
 def live_readings(campaign: Campaign, screening: ScreeningModel | None) -> LiveReadings:
     """The readings of a campaign as they are used while it runs: no sample is judged by a later one.
 
-    Without `screening` they are used as they were read.
+    Without `screening` they are used as they were read, single missing samples bridged.
     """
     table, duty = _with_lead_in(campaign)
     if screening is None:
-        return LiveReadings(table, duty, ())
+        return LiveReadings(replace(table, value_degC=table.at(table.t_s)), duty, ())
     detector, lost = Detector(screening), frozenset[str]()
     value, switches = np.empty_like(table.value_degC), []
     for i, (t_s, reading) in enumerate(zip(table.t_s, table.value_degC, strict=True)):

@@ -208,21 +208,31 @@ def _by_model(model: ModelDocument, live: LiveReadings, off: Record) -> Correcti
 
 
 def _by_clock(taught: Calibration, off: Record) -> Correction:
-    """The drift by the clock and what the column adds by the clock: in the joint form they are two parts."""
-    cold_s = off.truth.t_s[(off.truth.t_s <= off.reference_s) & (off.truth.axis >= 0)].mean()
-    parts = [(states, clock(states)) for states in (taught.of_axis(COLUMN), taught.of_axis(DRIFT))]
+    # Hours count from the middle of the cold sweeps, as in the states that the clock was fitted on.
+    zero_s = off.truth.t_s[(off.truth.t_s <= off.reference_s) & (off.truth.axis >= 0)].mean()
 
     def correction(t_s: Floats, reading: Floats, at_s: Floats, positions_mm: Mapping[str, Floats]) -> Floats:
         rows = _column_rows(taught.folder.machine.axes, positions_mm)
         out = np.zeros((len(at_s), 3))
-        for states, timed in parts:
-            lever_m = 0.0 if states.is_drift else (positions_mm[COLUMN][rows] - states.p0_mm) / 1000.0
-            samples = clock_samples(states, (at_s[rows] - cold_s) / 3600.0, lever_m)
-            for name in states.components:
-                out[rows, CARTESIAN.index(name[1])] -= timed.predict(name, states, samples)[0]
+        out[rows] = -clock_error_um(taught, (at_s[rows] - zero_s) / 3600.0, positions_mm[COLUMN][rows])
         return out
 
     return correction
+
+
+def clock_error_um(taught: Calibration, hours: Floats, position_mm: Floats) -> Floats:
+    """The column's error by the clock alone, (n, 3) in µm, after `hours` (n,) at `position_mm` (n,) of the column.
+
+    In the joint form it has two parts, each by a clock of its own: what the column adds, and the drift, counted once.
+    """
+    out = np.zeros((len(hours), 3))
+    for states in (taught.of_axis(COLUMN), taught.of_axis(DRIFT)):
+        timed = clock(states)
+        lever_m = 0.0 if states.is_drift else (position_mm - states.p0_mm) / 1000.0
+        samples = clock_samples(states, hours, lever_m)
+        for name in states.components:
+            out[:, CARTESIAN.index(name[1])] += timed.predict(name, states, samples)[0]
+    return out
 
 
 def _column_rows(axes: Sequence[Axis], positions_mm: Mapping[str, Floats]) -> Ints:
