@@ -12,6 +12,7 @@ from thetacomp.campaign import Campaign, Floats, Ints, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.separation.result import Bools, ComponentSeparation, mean_square_m2
 from thetacomp.temperature.history import HistoryLayout
+from thetacomp.temperature.passage import Passage, joined, passage
 from thetacomp.temperature.track import HistoryTrack, history_layout, history_track
 
 DRIFT = ""
@@ -54,6 +55,13 @@ class AxisStates:
     zero of the campaign's own. `history` (n, k) holds lagged temperatures and speeds as differences from the reference,
     whose own values are `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was
     read in all campaigns).
+    `intercept_um` and `slope_um_per_m` are (n, c), referred to the cold state of their campaign; `cold_*` (n, c) is
+    what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing values are NaN. `exact_zero` says
+    that S = I = 0 holds exactly at the reference, as in separated sweeps; in drift and in parameters from elsewhere the
+    cold state is a measurement like any other, and with a common datum there is no zero of the campaign's own.
+    `history` (n, k) holds lagged temperatures and speeds as differences from the reference, whose own values are
+    `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was read in all
+    campaigns). `passage` is what the machine went through between the states.
     """
 
     axis: str
@@ -79,6 +87,7 @@ class AxisStates:
     history: Floats
     reference_history: Floats
     layout: HistoryLayout | None
+    passage: Passage
     samples: tuple[Samples, ...]
 
     def __len__(self) -> int:
@@ -121,7 +130,8 @@ class AxisStates:
         row_of = np.full(len(self), -1)
         row_of[rows] = np.arange(len(chosen["t_s"]))
         samples = tuple(_renumbered(samples, row_of) for samples in self.samples)
-        return replace(self, samples=samples, **chosen)
+        passed = self.passage.among(chosen["campaign"], chosen["t_s"])
+        return replace(self, samples=samples, passage=passed, **chosen)
 
     def parameters(self) -> tuple[tuple[str, ...], Floats, Floats]:
         """Names, values (n, m) and µm weights (m,) of all parameters that can vote.
@@ -274,6 +284,7 @@ def _campaign_states(
         history=track.at(t_s),
         reference_history=np.tile(track.reference, (n, 1)),
         layout=layout,
+        passage=passage(track, layout, index, t_s),
         samples=tuple(_samples(campaign, sensors, s, states, reference, p0_mm, track) for s in own),
     )
 
@@ -288,6 +299,7 @@ def _stack(parts: Sequence[AxisStates], names: tuple[str, ...]) -> AxisStates:
         p_min_mm=min(part.p_min_mm for part in parts),
         p_max_mm=max(part.p_max_mm for part in parts),
         exact_zero=all(part.exact_zero for part in parts),
+        passage=joined([part.passage for part in parts]),
         samples=tuple(
             _stack_samples([part.samples[c] for part in parts], starts) for c in range(len(parts[0].components))
         ),

@@ -66,7 +66,7 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
             inputs=_plain(states.reference_history[0]),
         ),
         reach=reach,
-        validity=calibrate_validity(np.hstack([moved, temperature_degC]), campaign),
+        validity=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.passage),
         components={},
         campaigns=len(np.unique(campaign)),
         candidates=len(model.ridge.candidates),
