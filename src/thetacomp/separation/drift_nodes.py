@@ -21,11 +21,15 @@ MIN_LOOKS = 5
 
 @dataclass(frozen=True)
 class Looks:
-    """The drift record in steps of two minutes, n looks: `error` (n, 3) in µm (or µrad), NaN where it is missing."""
+    """The drift record in steps of two minutes, n looks: `error` (n, 3) in µm (or µrad), NaN where it is missing.
+
+    `gross_s` holds the moments of readings that were left out before, one array for each column.
+    """
 
     t_s: Floats
     error: Floats
     at_mm: dict[str, Floats]
+    gross_s: tuple[Floats, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Nodes:
 
 
 def looks_of(drift: Drift, error: Floats, at_mm: dict[str, Floats]) -> Looks:
-    """Means over two minutes; a new look begins where an axis stands elsewhere."""
+    """Means of what was read in two minutes; a new look begins where an axis stands elsewhere."""
     moved = np.zeros(len(drift.t_s), dtype=bool)
     for position_mm in at_mm.values():
         moved[1:] |= np.abs(np.diff(position_mm)) > 1e-6
@@ -52,9 +56,16 @@ def looks_of(drift: Drift, error: Floats, at_mm: dict[str, Floats]) -> Looks:
     rows = [np.flatnonzero(look == k) for k in range(number + 1)]
     return Looks(
         np.array([drift.t_s[row].mean() for row in rows]),
-        np.array([error[row].mean(axis=0) for row in rows]).reshape(-1, error.shape[1]),
+        np.array([_mean(error[row]) for row in rows]).reshape(-1, error.shape[1]),
         {name: np.array([position_mm[row[0]] for row in rows]) for name, position_mm in at_mm.items()},
     )
+
+
+def _mean(error: Floats) -> Floats:
+    """Mean of each column without its missing values; NaN where all are missing."""
+    known = np.isfinite(error)
+    total, count = np.where(known, error, 0.0).sum(axis=0), known.sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def scatter(value: Floats) -> float:

@@ -25,11 +25,12 @@ from thetacomp.campaign import CARTESIAN, Campaign, Floats
 from thetacomp.chain import ChainAxis, arms_behind_m, chain_of, turned_um
 from thetacomp.machine import Machine
 from thetacomp.separation.drift_nodes import MIN_LOOKS, Looks, Nodes, join, looks_of, scatter
+from thetacomp.separation.drift_outliers import gross_looks, gross_note, gross_readings, least_sd
 from thetacomp.separation.joint import lever_m, state_weights
 from thetacomp.separation.reference import reference_time_s, refuse_reference_in_a_sweep
 from thetacomp.separation.result import ComponentSeparation, GeometryCurve, Points
 from thetacomp.separation.separate import separate_axis
-from thetacomp.separation.shares import AxisFit, axis_share_um, node_weights
+from thetacomp.separation.shares import AxisFit, axis_share_um, between_nodes, node_weights
 
 ANGLES = ("A", "B", "C")
 AT_P0_MM = 1.0
@@ -118,6 +119,8 @@ def separate_joint(machine: Machine, campaign: Campaign, bent: Collection[str] =
     chain = chain_of([axis for axis in machine.axes if axis.name in points.axis])
     looks, notes = _looks(campaign, chain, campaign.drift.error_um if campaign.drift else None)
     whole = _Campaign(machine, campaign, chain, CARTESIAN, reference_s, looks, {}, bent)
+    looks, notes = _looks(campaign, chain, campaign.drift.error_um if campaign.drift else None, least_sd(campaign))
+    whole = _Campaign(machine, campaign, chain, CARTESIAN, reference_s, looks, {})
     angles, angle_fits = _angles(whole)
     components, _ = _solved(replace(whole, angles=angle_fits))
     return JointSeparation(tuple(components), tuple(angles), tuple(notes))
@@ -134,13 +137,18 @@ def _angles(whole: _Campaign) -> tuple[list[ComponentSeparation], dict[str, list
         return [], {}
     looks = None
     if drift is not None and drift.rotation_urad is not None:
-        looks, _ = _looks(whole.campaign, whole.chain, drift.rotation_urad)
+        looks, _ = _looks(whole.campaign, whole.chain, drift.rotation_urad, least_sd(whole.campaign, is_angle=True))
     campaign = replace(whole.campaign, sweeps=replace(points, error_um=turned))
     return _solved(replace(whole, campaign=campaign, letters=ANGLES, looks=looks))
 
 
-def _looks(campaign: Campaign, chain: Sequence[ChainAxis], error: Floats | None) -> tuple[Looks | None, list[str]]:
-    """The drift record where it says where the axes stood, and a note where it cannot be joined."""
+def _looks(
+    campaign: Campaign, chain: Sequence[ChainAxis], error: Floats | None, least: float
+) -> tuple[Looks | None, list[str]]:
+    """The drift record where it says where the axes stood, and a note where it cannot be joined.
+
+    Readings that their neighbours in time contradict are left out; `least` is the smallest standard deviation of one.
+    """
     drift = campaign.drift
     if drift is None or error is None:
         return None, []
@@ -150,7 +158,10 @@ def _looks(campaign: Campaign, chain: Sequence[ChainAxis], error: Floats | None)
             f"campaign {campaign.name}: drift.csv is left out, it does not say where the axes stood"
             f" ({', '.join(f'at_{name}_mm' for name in lacking)})"
         ]
-    return looks_of(drift, error, {a.name: drift.at_mm[a.name] for a in chain}), []
+    at_mm = {a.name: drift.at_mm[a.name] for a in chain}
+    gross = gross_readings(drift.t_s, error, at_mm, least)
+    looks = looks_of(drift, np.where(gross, np.nan, error), at_mm)
+    return replace(looks, gross_s=tuple(drift.t_s[column] for column in gross.T)), []
 
 
 def _solved(whole: _Campaign) -> tuple[list[ComponentSeparation], dict[str, list[AxisFit]]]:
@@ -196,21 +207,52 @@ def _joined(
     sweeps, covariance = _drift_of_sweeps(whole, own, at_mm)
     cold_s = np.concatenate([f.data.middle_s[f.data.cold] for f in own.values()])
     cold_sweep = np.concatenate([f.separation.sweep[f.data.cold] for f in own.values()])
-    nodes = sweeps
-    looks = whole.looks
-    if looks is not None and len(sweeps.t_s):
-        share = whole.share(alone, ("",) * len(looks.t_s), looks.t_s, looks.at_mm)
-        share += whole.arms(looks.t_s, looks.at_mm)
-        value = (looks.error - share)[:, whole.letters.index(letter)]
-        seen = np.isfinite(value)
-        if np.count_nonzero(seen) >= MIN_LOOKS:
-            arms = _look_arms(whole, own, looks)[seen]
-            zero_s = max(whole.reference_s, max(float(f.separation.zero_t_s.max()) for f in own.values()))
-            nodes = join(sweeps, covariance, zero_s, looks.t_s[seen], value[seen], arms, scatter(value[seen]) + 1e-3)
+    nodes, told = _with_looks(whole, letter, own, alone, sweeps, covariance)
     constants = np.array([f.constant_um for f in own.values()])
     drift = _drift_component(whole, letter, own, nodes, (cold_s, cold_sweep), constants, first)
+    drift = replace(drift, notes=(*drift.notes, *told))
     by_sweep = dict(zip(nodes.sweep.tolist(), nodes.value.tolist(), strict=True))
     return [drift, *(_without_drift(fitted, by_sweep) for fitted in own.values())]
+
+
+def _with_looks(
+    whole: _Campaign,
+    letter: str,
+    own: dict[str, AxisFit],
+    alone: dict[str, list[AxisFit]],
+    sweeps: Nodes,
+    covariance: Floats,
+) -> tuple[Nodes, tuple[str, ...]]:
+    """The drift of the sweeps joined with the drift record, whose gross readings are left out and told."""
+    looks = whole.looks
+    if looks is None or not len(sweeps.t_s):
+        return sweeps, ()
+    column = whole.letters.index(letter)
+    share = whole.share(alone, ("",) * len(looks.t_s), looks.t_s, looks.at_mm)
+    share += whole.arms(looks.t_s, looks.at_mm)
+    value = (looks.error - share)[:, column]
+    zero_s = max(whole.reference_s, max(float(f.separation.zero_t_s.max()) for f in own.values()))
+    gross = gross_looks(
+        looks.t_s,
+        value,
+        np.append(zero_s, sweeps.t_s),
+        np.append(0.0, sweeps.value),
+        between_nodes(zero_s, sweeps.t_s, looks.t_s) @ sweeps.value,
+        least_sd(whole.campaign, is_angle=letter in ANGLES),
+        float(np.median([f.fit.noise_sd_um for f in own.values()])),
+    )
+    seen = np.isfinite(value) & ~gross
+    left_out_s = np.concatenate([looks.gross_s[column], looks.t_s[gross]])
+    notes = []
+    if len(left_out_s):
+        notes.append(gross_note(left_out_s, "the readings beside them and the sweeps"))
+    if np.count_nonzero(seen) < MIN_LOOKS:
+        if notes:
+            notes.append(f"drift.csv is left out: {seen.sum()} good readings are left, at least {MIN_LOOKS} are needed")
+        return sweeps, tuple(notes)
+    arms = _look_arms(whole, own, looks)[seen]
+    sd = scatter(value[seen]) + 1e-3
+    return join(sweeps, covariance, zero_s, looks.t_s[seen], value[seen], arms, sd), tuple(notes)
 
 
 def _drift_of_sweeps(whole: _Campaign, own: dict[str, AxisFit], at_mm: dict[str, Floats]) -> tuple[Nodes, Floats]:

@@ -12,6 +12,7 @@ from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Param
 from thetacomp.cold_block import sweep_table
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine
+from thetacomp.separation.drift_outliers import gross_note, gross_readings, least_sd
 from thetacomp.separation.joint import ComponentData, JointFit, ShapeChange, fit_component, shape_change
 from thetacomp.separation.reference import (
     drift_window,
@@ -355,8 +356,9 @@ def _from_drift(campaign: Campaign, reference_s: float) -> list[ComponentSeparat
     drift = campaign.drift
     assert drift is not None
     results = []
+    gross = gross_readings(drift.t_s, drift.error_um, drift.at_mm, least_sd(campaign))
     for index, direction in enumerate(CARTESIAN):
-        good = np.isfinite(drift.error_um[:, index])
+        good = np.isfinite(drift.error_um[:, index]) & ~gross[:, index]
         if not good.any():
             continue
         t_s, error = drift.t_s[good], drift.error_um[good, index]
@@ -386,6 +388,9 @@ def _from_drift(campaign: Campaign, reference_s: float) -> list[ComponentSeparat
                 noise_sd_um=float("nan"),
                 dof=float("nan"),
                 cold_intercept_um=zero,
+                notes=(gross_note(drift.t_s[gross[:, index]], "the readings beside them"),)
+                if gross[:, index].any()
+                else (),
             )
         )
     return results
