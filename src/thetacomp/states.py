@@ -114,8 +114,7 @@ class AxisStates:
         return np.where(joint, self.intercept_um, self.intercept_um + lift_um)
 
     def targets(self) -> Floats:
-        """What a model with bends is fitted to, (n, powers * c): intercepts, then slopes, then bends where there are
-        any.
+        """What a model with bends is fitted to, (n, powers * c): intercepts, slopes, and bends where there are any.
 
         `curve_um` puts their predictions together.
         """
