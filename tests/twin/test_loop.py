@@ -62,6 +62,17 @@ def test_column_deviation_of_a_known_lean_with_a_gross_error(twin: Twin) -> None
     assert column_deviation_um(twin, record, error) == pytest.approx(45.0, abs=1.0)
 
 
+def test_two_gross_errors_at_one_position_of_a_sweep_do_not_count(twin: Twin, standard: Conditions) -> None:
+    """There and back at the same place: least squares would bend so far that neither stands out."""
+    nine = replace(twin, conditions=with_plan(standard, MeasuringPlan(points=9)))
+    record = run_campaign(nine, plan_campaigns(nine, 1)[0])
+    truth, rng = record.truth, np.random.default_rng(4)
+    error = rng.normal(0.0, 3.0, len(truth.t_s)) + 30.0 * (truth.positions_mm["Y"] - 1500.0) / 1000.0
+    sweep = truth.sweep[(truth.axis == 1) & (truth.t_s > record.reference_s)][-1]
+    error[(truth.sweep == sweep) & (truth.positions_mm["Y"] == 2250.0)] -= 170.0
+    assert column_deviation_um(nine, record, error) < 15.0
+
+
 def test_summary_over_machines_in_closed_form() -> None:
     """Reductions of 0, 10, … 100 % measured: 10th percentile 10, median 50; true ones are all 90 %."""
     rows = [Deviation(seed, "X", "clock", 100.0, 100.0 - 10.0 * seed, 50.0, 5.0) for seed in range(11)]

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from thetacomp.campaign import CARTESIAN, Floats, Ints, MachineFolder
@@ -35,6 +34,7 @@ DEFAULT, ONE_SENSOR, CLOCK = "default", "one_sensor", "clock"
 COLUMN = "Y"
 DIRECTIONS = ("X", "Z")
 _SMALLEST_GROSS_UM = 1.0
+_REWEIGHTED = 20
 
 
 @dataclass(frozen=True)
@@ -160,14 +160,26 @@ def _no_gross_errors(position: Floats, direction: Ints, sweep: Ints, error: Floa
         here = (position == p) & (direction == sign)
         rest[here] -= np.median(rest[here])
     good = np.ones(len(error), dtype=np.bool_)
-    for _ in range(3):
-        for number in np.unique(sweep):
-            rows = np.flatnonzero(sweep == number)
-            kept = rows[good[rows]]
-            curve = Polynomial.fit(position[kept], rest[kept], 2)
-            off_um = np.abs(rest[rows] - curve(position[rows]))
-            good[rows] = off_um <= 4.5 * 1.4826 * np.median(off_um) + _SMALLEST_GROSS_UM
+    for number in np.unique(sweep):
+        rows = np.flatnonzero(sweep == number)
+        off_um = np.abs(rest[rows] - _parabola(position[rows], rest[rows]))
+        good[rows] = off_um <= 4.5 * 1.4826 * np.median(off_um) + _SMALLEST_GROSS_UM
     return good
+
+
+def _parabola(position: Floats, value: Floats) -> Floats:
+    """The parabola of least absolute deviations at its points (n,), by reweighted least squares.
+
+    Two gross errors at one position would draw that of least squares so far that neither stands out.
+    """
+    at = (position - position.mean()) / np.ptp(position)
+    design = np.vander(at, 3)
+    weight = np.ones(len(value))
+    fitted = value
+    for _ in range(_REWEIGHTED):
+        fitted = design @ np.linalg.lstsq(design * weight[:, None], value * weight, rcond=None)[0]
+        weight = 1.0 / np.sqrt(np.maximum(np.abs(value - fitted), 0.1))
+    return np.asarray(fitted)
 
 
 def _measured(twin: Twin, records: Sequence[Record]) -> MachineFolder:
