@@ -34,6 +34,7 @@ DEFAULT, ONE_SENSOR, CLOCK = "default", "one_sensor", "clock"
 COLUMN = "Y"
 DIRECTIONS = ("X", "Z")
 _SMALLEST_GROSS_UM = 1.0
+_REWEIGHTED = 20
 
 
 @dataclass(frozen=True)
@@ -161,24 +162,24 @@ def _no_gross_errors(position: Floats, direction: Ints, sweep: Ints, error: Floa
     good = np.ones(len(error), dtype=np.bool_)
     for number in np.unique(sweep):
         rows = np.flatnonzero(sweep == number)
-        off_um = np.abs(rest[rows] - _least_absolute_parabola(position[rows], rest[rows]))
+        off_um = np.abs(rest[rows] - _parabola(position[rows], rest[rows]))
         good[rows] = off_um <= 4.5 * 1.4826 * np.median(off_um) + _SMALLEST_GROSS_UM
     return good
 
 
-def _least_absolute_parabola(position_mm: Floats, error_um: Floats) -> Floats:
-    """Parabola through points (n,) by least absolute deviations: two gross errors of 300 µm hardly move it.
+def _parabola(position: Floats, value: Floats) -> Floats:
+    """The parabola of least absolute deviations at its points (n,), by reweighted least squares.
 
-    Reweighted least squares (Schlossmacher 1973).
+    Two gross errors at one position would draw that of least squares so far that neither stands out.
     """
-    u = (position_mm - position_mm.mean()) / np.ptp(position_mm)
-    design = np.column_stack([np.ones(len(u)), u, u**2])
-    weight = np.ones(len(u))
-    for _ in range(30):
-        root = np.sqrt(weight)
-        curve = design @ np.linalg.lstsq(root[:, None] * design, root * error_um, rcond=None)[0]
-        weight = 1.0 / np.maximum(np.abs(error_um - curve), 0.1)
-    return np.asarray(curve)
+    at = (position - position.mean()) / np.ptp(position)
+    design = np.vander(at, 3)
+    weight = np.ones(len(value))
+    fitted = value
+    for _ in range(_REWEIGHTED):
+        fitted = design @ np.linalg.lstsq(design * weight[:, None], value * weight, rcond=None)[0]
+        weight = 1.0 / np.sqrt(np.maximum(np.abs(value - fitted), 0.1))
+    return np.asarray(fitted)
 
 
 def _measured(twin: Twin, records: Sequence[Record]) -> MachineFolder:
