@@ -184,7 +184,9 @@ def _measured(part: ComponentSeparation, component: Component, what: str) -> tup
     if what == "slope":
         return part.slope_um_per_m, part.slope_se_um_per_m
     move_m = 0.0 if component.p0_mm is None else (component.p0_mm - part.p0_mm) / 1000.0
-    se = part.intercept_se_um if move_m == 0.0 else np.full(len(part.t_s), np.nan)
+    # The standard error belongs to the separated intercept, not to that of another P0 or of a parabola's best line.
+    own = move_m == 0.0 and part.bend_um_per_m2 is None
+    se = part.intercept_se_um if own else np.full(len(part.t_s), np.nan)
     return part.line_intercept_um + part.slope_um_per_m * move_m, se
 
 
