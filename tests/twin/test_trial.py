@@ -17,6 +17,7 @@ from thetacomp.trial.loop import MeasuringPlan, column_deviation_um, tenth_perce
 from thetacomp.trial.monthly import TOOL, acceptance, by_hour, monthly
 from thetacomp.trial.page import write_trial
 from thetacomp.trial.probing import Course, adapt
+from thetacomp.trial.readings import ScreenedMonth, ScreenedYear, screen_year
 from thetacomp.trial.run import ADAPTIVE, FROZEN, NOTHING, ONE_SENSOR, Trial, run_trial, stated_places
 from thetacomp.twin.campaigns import Twin, plan_campaigns, run_campaign
 from thetacomp.twin.conditions import Conditions, Tracker
@@ -130,6 +131,7 @@ def made_trial(twin: Twin, after: np.ndarray) -> Trial:
         in_domain=np.ones((len(t_s), 7)),
         probes={},
         trained=None,  # type: ignore[arg-type]
+        screened=ScreenedYear((), ()),
     )
 
 

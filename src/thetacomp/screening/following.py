@@ -15,6 +15,7 @@ from thetacomp.screening.window import History
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
 AGAIN_S = 7200.0  # a second change so soon after a step: it was no step
+MORE_PATIENCE, MOST_PATIENCE = 1.5, 4.0  # how much larger the limit of a sensor becomes that was taken out in vain
 NOISY_ALARMS = 5  # so many alarms of one sensor within AGAIN_S
 SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
 
@@ -22,7 +23,7 @@ SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
 class Follower:
     """The state of all sensors of one machine, block by block.
 
-    `offset_K` (p,) is taken off a sensor that jumped and stayed; `source` (p,) says which channel carries a sensor.
+    `patience` (p,) multiplies the limits of a sensor; `offset_K` (p,) is taken off a sensor that jumped and stayed; `source` (p,) says which channel carries a sensor.
     """
 
     def __init__(self, model: ScreeningModel) -> None:
@@ -31,6 +32,7 @@ class Follower:
         self.history = History(model)
         self.events: list[Event] = []
         self.offset_K = np.zeros(self.p)
+        self.patience = np.ones(self.p)
         self.source = np.arange(self.p)
         self.open: dict[int, Event] = {}
         self._jumped: dict[int, Event] = {}
@@ -171,14 +173,14 @@ class Follower:
         """Take out the sensor that explains most of the residuals, until the rest agrees (leave faulty out)."""
         while len(self.open) < self.p - 2:
             z = self.history.statistic(self.excluded)
-            relative = np.abs(z) / self.model.threshold[:, None]
+            relative = np.abs(z) / (self.model.threshold[:, None] * self.patience)
             if not np.max(relative) > 1.0:
                 return
             waiting = sum(not e.decided for e in self.open.values())
             if waiting >= self._most_at_once:
                 self._unexplained(z)
                 return
-            j = culprit(self.history, z, self.excluded)
+            j = culprit(self.history, z / self.patience, self.excluded)
             h = int(np.argmax(relative[:, j]))
             self._suspect(j, h, float(np.abs(z[h, j])), now)
 
@@ -308,7 +310,10 @@ class Follower:
         self._restore(k, event.onset + 1)
 
     def _believe_again(self, event: Event, now: int) -> None:
-        """It agreed with the others for a day: its reading counts again, with the shift that it had before the fault."""
+        """It agreed with the others for a day: its reading counts again, less the shift that it had before."""
+        if event.kind == "drift":
+            # It left the others and came back by itself: most likely the machine did what training never showed.
+            self.patience[event.j] = min(MORE_PATIENCE * self.patience[event.j], MOST_PATIENCE)
         self.offset_K[event.j] = event.offset_before_K
         self._close(event, now + 1 - self.agreement.blocks)
         self._restore(event.j, event.end or 0)

@@ -119,8 +119,10 @@ class ScreeningModel:
 
     def inflations(self, h: int, excluded: frozenset[int]) -> Floats:
         """`inflation` of all sensors at once (p,)."""
-        power = [self._left_over(h, np.array([self.weights(h, out, j) for j in range(len(self.sensor_ids))]))
-                 for out in (frozenset[int](), excluded)]
+        power = [
+            self._left_over(h, np.array([self.weights(h, out, j) for j in range(len(self.sensor_ids))]))
+            for out in (frozenset[int](), excluded)
+        ]
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(power[0] > 0, np.sqrt(np.maximum(power[1] / power[0], 1.0)), 1.0)
 

@@ -108,7 +108,7 @@ class History:
         return np.asarray(self.inputs(begin, self.count)[:, used] @ weights[used])
 
     def stack(self, excluded: frozenset[int]) -> tuple[Floats, Floats, Healthy]:
-        """Weights (H, p, 2p) of all sensors at all horizons, the growth of their residuals (H, p), and who is judged (p,)."""
+        """Weights (H, p, 2p) at all horizons, the growth of the residuals (H, p), and which sensors are judged (p,)."""
         if excluded not in self._stacks:
             if len(self._stacks) > MOST_STACKS:
                 self._stacks.clear()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.campaign import Campaign, Floats, MachineFolder, Temperatures
+from thetacomp.models.document import ModelDocument
 from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening
 from thetacomp.screening.campaigns import screened
 from thetacomp.twin.hall import DAY_S
@@ -23,7 +24,7 @@ SHORTEST_S = 3600.0  # single missing readings and spikes are bridged; faults as
 @dataclass(frozen=True)
 class ScreenedMonth:
     """Readings of a month, with LEAD_DAYS before it: values (n, p) in °C as screening leaves them, NaN where nothing
-    is left, and `out` (n, p), where a sensor counts as lost for good. Times count from the schedule's first midnight.
+    is left, and `out` (n, p), where a sensor is lost. Times count from the schedule's first midnight.
     """
 
     temperatures: Temperatures
@@ -51,25 +52,22 @@ def screening_model(folder: MachineFolder) -> ScreeningModel:
 def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Sequence[float]) -> ScreenedYear:
     """Follow the readings of all months in one unbroken stream; `begins_s` says when each month begins.
 
-    A sensor is lost for good from the moment on at which nothing rebuilds it well enough, or when it has been rebuilt
-    for longer than the screening knows how well it does that. It is so until it is believed again.
+    A rebuilt value serves for as long as the screening rebuilds it. A sensor that cannot be rebuilt well enough is lost
+    from that moment on, until it is believed again.
     """
     detector = Detector(model)
     t_s, value = _stream(months, begins_s)
     used, out = np.empty_like(value), np.zeros(value.shape, dtype=np.bool_)
-    found: dict[tuple[str, str, float], Finding] = {}
     for i, moment_s in enumerate(t_s):
         verdict = detector.update(float(moment_s), value[i])
         used[i] = verdict.value_degC
-        for j, since_s in detector.out_s().items():
-            out[i, j] = since_s > model.elapsed_s[-1] or verdict.state[j] == "lost"
-        found |= {(f.sensor, f.kind, f.start_s): f for f in verdict.findings}
+        out[i] = [state == "lost" for state in verdict.state]
     end_s = float(t_s[-1])
-    told = [f for f in found.values() if (end_s if f.end_s is None else f.end_s) - f.start_s >= SHORTEST_S]
+    told = [f for f in detector.findings() if (end_s if f.end_s is None else f.end_s) - f.start_s >= SHORTEST_S]
     cut = [(begin_s - LEAD_DAYS * DAY_S, float(month.t_s[-1])) for begin_s, month in zip(begins_s, months, strict=True)]
     return ScreenedYear(
         tuple(_month(model.sensor_ids, t_s, used, out, *span) for span in cut),
-        tuple(sorted(told, key=lambda f: f.start_s)),
+        tuple(told),
     )
 
 
@@ -106,3 +104,9 @@ def dropped(table: Temperatures, lost: Sequence[str]) -> Temperatures:
     """A table without the columns of some sensors."""
     kept = [j for j, name in enumerate(table.sensor_ids) if name not in lost]
     return Temperatures(table.t_s, tuple(table.sensor_ids[j] for j in kept), table.value_degC[:, kept])
+
+
+def used_sensors(model: ModelDocument) -> frozenset[str]:
+    """All sensors that a model reads."""
+    history = {name for axis in model.history.values() for name in axis.layout.sensors}
+    return frozenset(history | {name for component in model.components.values() for name in component.inputs})

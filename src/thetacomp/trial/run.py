@@ -26,6 +26,7 @@ from thetacomp.trial.readings import (
     screen_year,
     screened_training,
     screening_model,
+    used_sensors,
     without_sensors,
 )
 from thetacomp.trial.training import Positions, Trained, at_minute, clock_samples, spindle_duty, train
@@ -207,66 +208,78 @@ def _run(
     `model` names the model that serves where some sensors are lost. Where it changes, the output goes on from where it
     was: the difference of the two models decays as `compensation/switch.py` does it.
     """
-    error = np.zeros((len(t_s), len(places), 3))
-    band, inside = np.full_like(error, np.nan), np.zeros(error.shape[:2])
+    out = _Output(
+        np.zeros((len(t_s), len(places), 3)),
+        np.full((len(t_s), len(places), 3), np.nan),
+        np.zeros((len(t_s), len(places))),
+    )
     running: ModelDocument | None = None
     carried: Carried | None = None
     for number, month in enumerate(readings.months):
         begin_s = _month_s(year.schedule, number)
         rows = np.flatnonzero((t_s > begin_s) & (t_s <= begin_s + MONTH_DAYS * DAY_S))
-        for part, lost in _lost_parts(month, t_s[rows]):
-            serving = model(lost)
-            table = dropped(month.temperatures, sorted(lost)) if serving is not model(frozenset()) else month.temperatures
-            own = rows[part]
-            _predict(serving, table, year, places, t_s, own, error, band, inside)
+        parts = _lost_parts(month, t_s[rows])
+        for lost in dict.fromkeys(lost for _, lost in parts):
+            own = np.concatenate([rows[part] for part, some in parts if some == lost])
+            _predict(model(lost), month, lost, year, places, t_s, own, out)
+        for part, lost in parts:
+            own, serving = rows[part], model(lost)
             if running is not None and serving is not running:
-                carried = switch(t_s[own[0] - 1], error[own[0] - 1].ravel(), error[own[0]].ravel())
+                carried = switch(t_s[own[0] - 1], out.error[own[0] - 1].ravel(), out.error[own[0]].ravel())
             running = serving
             if carried is not None:
-                error[own] += np.array([carried.at(s) for s in t_s[own]]).reshape(len(own), len(places), 3)
-    return error, band, inside
+                out.error[own] += np.array([carried.at(s) for s in t_s[own]]).reshape(len(own), len(places), 3)
+    return out.error, out.band, out.inside
+
+
+@dataclass(frozen=True)
+class _Output:
+    """Prediction and half width of its band (n, places, 3) and flag of validity (n, places), while they are filled."""
+
+    error: Floats
+    band: Floats
+    inside: Floats
 
 
 def _lost_parts(month: ScreenedMonth, t_s: Floats) -> list[tuple[Ints, frozenset[str]]]:
     """The moments (n,) of a month in stretches of the same lost sensors."""
     out = month.out[np.clip(np.searchsorted(month.temperatures.t_s, t_s, side="right") - 1, 0, None)]
-    begins = np.flatnonzero(np.concatenate([[True], (out[1:] != out[:-1]).any(axis=1)]))
+    begins = np.flatnonzero((out[1:] != out[:-1]).any(axis=1)) + 1
     ids = np.array(month.temperatures.sensor_ids)
-    parts = np.split(np.arange(len(t_s)), begins[1:])
-    return [(part, frozenset(ids[out[part[0]]].tolist())) for part in parts]
+    return [(part, frozenset(ids[out[part[0]]].tolist())) for part in np.split(np.arange(len(t_s)), begins)]
 
 
 def _predict(
     model: ModelDocument,
-    table: Temperatures,
+    month: ScreenedMonth,
+    lost: frozenset[str],
     year: Year,
     places: Sequence[Place],
     t_s: Floats,
     rows: Ints,
-    error: Floats,
-    band: Floats,
-    inside: Floats,
+    out: _Output,
 ) -> None:
-    """Fill in what a model says of the moments `rows`."""
+    """Fill in what a model says of the moments `rows`, without the sensors that it can do without."""
     known = {component.axis or "" for component in model.components.values()}
+    table = dropped(month.temperatures, sorted(lost - used_sensors(model)))
     table = replace(table, value_degC=table.at(table.t_s))
     asked = [k for k, place in enumerate(places) if place.axis in known]
     axis = tuple(places[k].axis for k in asked for _ in rows)
     position = np.repeat([places[k].position_mm for k in asked], len(rows))
     wanted = Positions(np.tile(t_s[rows], len(asked)), axis, position)
     got = predict(model, table, wanted, "model", duty=spindle_duty(year.work, table.t_s, table.t_s))
-    _fill(got, rows, asked, error, band, inside)
+    _fill(got, rows, asked, out)
     # A component that a model does not have is not compensated.
-    error[rows] = np.nan_to_num(error[rows])
+    out.error[rows] = np.nan_to_num(out.error[rows])
 
 
-def _fill(got: Prediction, rows: Ints, asked: Sequence[int], error: Floats, band: Floats, inside: Floats) -> None:
+def _fill(got: Prediction, rows: Ints, asked: Sequence[int], out: _Output) -> None:
     shape = (len(asked), len(rows), 3)
     half_um = (0.5 * (got.upper_um - got.lower_um)).reshape(shape)
     for i, k in enumerate(asked):
-        error[rows, k] = got.error_um.reshape(shape)[i]
-        band[rows, k] = half_um[i]
-        inside[rows, k] = got.in_domain.reshape(shape[:2])[i]
+        out.error[rows, k] = got.error_um.reshape(shape)[i]
+        out.band[rows, k] = half_um[i]
+        out.inside[rows, k] = got.in_domain.reshape(shape[:2])[i]
 
 
 def _by_the_clock(trained: Trained, year: Year, places: Sequence[Place], t_s: Floats) -> Floats:
