@@ -5,20 +5,34 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from synthetic_analysis import sweeps_analysis
+from thetacomp.campaign import Temperatures
 from thetacomp.cli.main import app
 from thetacomp.trial.figures import month_by_month
 from thetacomp.trial.loop import MeasuringPlan, column_deviation_um, tenth_percentiles, verify_machine, with_plan
 from thetacomp.trial.monthly import TOOL, acceptance, by_hour, monthly
 from thetacomp.trial.page import write_trial
 from thetacomp.trial.probing import Course, adapt
-from thetacomp.trial.readings import ScreenedMonth, ScreenedYear, screen_year
-from thetacomp.trial.run import ADAPTIVE, FROZEN, NOTHING, ONE_SENSOR, Trial, run_trial, stated_places
+from thetacomp.trial.readings import ScreenedMonth, ScreenedYear
+from thetacomp.trial.run import (
+    ADAPTIVE,
+    FROZEN,
+    NOTHING,
+    ONE_SENSOR,
+    Ready,
+    Trial,
+    _lost_parts,
+    _run,
+    run_trial,
+    stated_places,
+)
 from thetacomp.twin.campaigns import Twin, plan_campaigns, run_campaign
 from thetacomp.twin.conditions import Conditions, Tracker
 from thetacomp.twin.hall import DAY_S
@@ -170,6 +184,56 @@ def test_hours_made_worse_are_counted_by_place_too(twin: Twin) -> None:
     worse = acceptance(monthly(made_trial(twin, after)))[1]
     assert worse.statistic == pytest.approx(100.0 * 4 / 720)
     assert not worse.passed
+
+
+def test_stretches_of_lost_sensors_are_those_of_the_moments_that_are_judged() -> None:
+    table = Temperatures(60.0 * np.arange(5.0), ("a", "b"), np.zeros((5, 2)))
+    out = np.zeros((5, 2), dtype=bool)
+    out[2:4, 1] = True
+    parts = _lost_parts(ScreenedMonth(table, out), np.array([30.0, 119.0, 120.0, 200.0, 250.0]))
+    assert [(rows.tolist(), lost) for rows, lost in parts] == [
+        ([0, 1], frozenset()),
+        ([2, 3], frozenset({"b"})),
+        ([4], frozenset()),
+    ]
+
+
+def test_where_the_model_changes_the_output_goes_on_without_a_bump(
+    twin: Twin, year: Year, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """10 µm with all sensors, 50 µm without `b`: the difference of 40 µm decays with a time constant of four hours."""
+    begin_s = SHORT.training_days * DAY_S
+    hours = begin_s + 3600.0 * np.arange(1.0, 25.0)
+    out = np.zeros((24, 2), dtype=bool)
+    out[10:] = [False, True]
+    month = ScreenedMonth(Temperatures(hours, ("a", "b"), np.zeros((24, 2))), out)
+
+    def says(
+        model: str, month: object, lost: object, year: object, places: object, t_s: object, rows: Any, into: Any
+    ) -> None:
+        into.error[rows] = {"whole": 10.0, "without b": 50.0}[model]
+
+    monkeypatch.setattr("thetacomp.trial.run._predict", says)
+    model: Any = {frozenset(): "whole", frozenset({"b"}): "without b"}.__getitem__
+    error, _, _ = _run(model, year, ScreenedYear((month,), ()), stated_places(twin)[:1], hours)
+    assert error[9, 0, 0] == error[10, 0, 0] == 10.0
+    np.testing.assert_allclose(error[10:, 0, 0], 50.0 - 40.0 * np.exp(-np.arange(14.0) / 4.0))
+
+
+def test_the_model_without_a_lost_sensor_is_made_once_and_does_not_read_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[str, ...]] = []
+
+    def fit(folder: Any) -> Any:
+        made.append(folder.campaigns[0].temperatures.sensor_ids)
+        return SimpleNamespace(model=f"number {len(made)}")
+
+    monkeypatch.setattr("thetacomp.trial.run.train", fit)
+    folder = sweeps_analysis().folder
+    ids = folder.campaigns[0].temperatures.sensor_ids
+    ready, lost = Ready(folder, "whole"), frozenset(ids[1:2])  # type: ignore[arg-type]
+    assert ready.without(frozenset()) == "whole"
+    assert ready.without(lost) == ready.without(lost) == "number 1"
+    assert made == [ids[:1] + ids[2:]]
 
 
 def test_an_hour_is_the_mean_of_its_rows() -> None:

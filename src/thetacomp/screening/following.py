@@ -15,7 +15,7 @@ from thetacomp.screening.window import History
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
 AGAIN_S = 7200.0  # a second change so soon after a step: it was no step
-MORE_PATIENCE, MOST_PATIENCE = 1.5, 4.0  # how much larger the limit of a sensor becomes that was taken out in vain
+MORE_PATIENCE, MOST_PATIENCE = 1.5, 4.0  # by how much the limit of a sensor grows that was taken out in vain
 NOISY_ALARMS = 5  # so many alarms of one sensor within AGAIN_S
 SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
 
@@ -23,7 +23,8 @@ SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
 class Follower:
     """The state of all sensors of one machine, block by block.
 
-    `patience` (p,) multiplies the limits of a sensor; `offset_K` (p,) is taken off a sensor that jumped and stayed; `source` (p,) says which channel carries a sensor.
+    `patience` (p,) multiplies the limits of a sensor; `offset_K` (p,) is taken off a sensor that jumped and stayed;
+    `source` (p,) says which channel carries a sensor.
     """
 
     def __init__(self, model: ScreeningModel) -> None:
@@ -208,7 +209,7 @@ class Follower:
         return event
 
     def _is_noisy(self, event: Event) -> bool:
-        """A sensor that gives one alarm after the other has no shift to take off: it is noisy since the first of them."""
+        """A sensor with one alarm after the other has no shift to take off: it is noisy since the first of them."""
         j = event.j
         near = [e for e in self._alarmed.get(j, []) if self._time_s - e.onset_s < AGAIN_S]
         self._alarmed[j] = [*near, event]

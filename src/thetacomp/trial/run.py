@@ -225,7 +225,7 @@ def _run(
         for part, lost in parts:
             own, serving = rows[part], model(lost)
             if running is not None and serving is not running:
-                carried = switch(t_s[own[0] - 1], out.error[own[0] - 1].ravel(), out.error[own[0]].ravel())
+                carried = switch(t_s[own[0]], out.error[own[0] - 1].ravel(), out.error[own[0]].ravel())
             running = serving
             if carried is not None:
                 out.error[own] += np.array([carried.at(s) for s in t_s[own]]).reshape(len(own), len(places), 3)
