@@ -15,10 +15,11 @@ from typer.testing import CliRunner
 from synthetic_analysis import sweeps_analysis
 from thetacomp.campaign import Temperatures
 from thetacomp.cli.main import app
+from thetacomp.screening import Finding
 from thetacomp.trial.figures import month_by_month
 from thetacomp.trial.loop import MeasuringPlan, column_deviation_um, tenth_percentiles, verify_machine, with_plan
 from thetacomp.trial.monthly import TOOL, acceptance, by_hour, monthly
-from thetacomp.trial.page import write_trial
+from thetacomp.trial.page import _Told, write_trial
 from thetacomp.trial.probing import Course, adapt
 from thetacomp.trial.readings import ScreenedMonth, ScreenedYear
 from thetacomp.trial.run import (
@@ -236,6 +237,14 @@ def test_the_model_without_a_lost_sensor_is_made_once_and_does_not_read_it(monke
     assert made == [ids[:1] + ids[2:]]
 
 
+def test_the_page_tells_when_a_fault_was_there() -> None:
+    """Training takes two days; the fault begins at noon of the third day of the second month and lasts."""
+    start_s = (2 + 30 + 2.5) * DAY_S
+    found = Finding("theta_1", "stuck", start_s, start_s + 600.0, None, 1.0, 1.0, 1.0, 1.0, "lost", (), 1.0)
+    told = _Told.of(found, SHORT)
+    assert (told.begin, told.end, told.seen_min, told.done) == ("2 / 3", "lasts", 10.0, "model without it")
+
+
 def test_an_hour_is_the_mean_of_its_rows() -> None:
     t_s = 1800.0 * np.arange(1.0, 5.0)
     np.testing.assert_array_equal(by_hour(t_s, np.array([[1.0], [3.0], [5.0], [9.0]])), [[2.0], [7.0]])
@@ -285,6 +294,7 @@ def test_a_short_trial_from_end_to_end(twin: Twin, tmp_path: Path) -> None:
         assert len(list(csv.DictReader(file))) == 1 * 6 * 4
     page = paths[0].read_text(encoding="utf-8")
     assert page.count("<svg") == 2
+    assert "Faulty readings" in page
     assert "adaptive default" in page
     assert month_by_month(rows).name == "month_by_month"
 

@@ -72,7 +72,7 @@ class _Told:
 
 def _date(t_s: float, schedule: Schedule) -> str:
     days = t_s / DAY_S - schedule.training_days
-    return f"{int(days // MONTH_DAYS) + 1} / {days % MONTH_DAYS + 1:.0f}" if days >= 0.0 else "before"
+    return f"{int(days // MONTH_DAYS) + 1} / {int(days % MONTH_DAYS) + 1}" if days >= 0.0 else "before"
 
 
 def _page(trial: Trial, rows: Sequence[MonthRow], checks: Sequence[AcceptanceCheck], pictures: Sequence[object]) -> str:
