@@ -15,7 +15,6 @@ from thetacomp.screening.window import History
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
 AGAIN_S = 7200.0  # a second change so soon after a step: it was no step
-MORE_PATIENCE, MOST_PATIENCE = 1.5, 4.0  # by how much the limit of a sensor grows that was taken out in vain
 NOISY_ALARMS = 5  # so many alarms of one sensor within AGAIN_S
 SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
 
@@ -23,8 +22,7 @@ SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
 class Follower:
     """The state of all sensors of one machine, block by block.
 
-    `patience` (p,) multiplies the limits of a sensor; `offset_K` (p,) is taken off a sensor that jumped and stayed;
-    `source` (p,) says which channel carries a sensor.
+    `offset_K` (p,) is taken off a sensor that jumped and stayed; `source` (p,) says which channel carries a sensor.
     """
 
     def __init__(self, model: ScreeningModel) -> None:
@@ -33,7 +31,6 @@ class Follower:
         self.history = History(model)
         self.events: list[Event] = []
         self.offset_K = np.zeros(self.p)
-        self.patience = np.ones(self.p)
         self.source = np.arange(self.p)
         self.open: dict[int, Event] = {}
         self._jumped: dict[int, Event] = {}
@@ -174,14 +171,14 @@ class Follower:
         """Take out the sensor that explains most of the residuals, until the rest agrees (leave faulty out)."""
         while len(self.open) < self.p - 2:
             z = self.history.statistic(self.excluded)
-            relative = np.abs(z) / (self.model.threshold[:, None] * self.patience)
+            relative = np.abs(z) / self.model.threshold[:, None]
             if not np.max(relative) > 1.0:
                 return
             waiting = sum(not e.decided for e in self.open.values())
             if waiting >= self._most_at_once:
                 self._unexplained(z)
                 return
-            j = culprit(self.history, z / self.patience, self.excluded)
+            j = culprit(self.history, z, self.excluded)
             h = int(np.argmax(relative[:, j]))
             self._suspect(j, h, float(np.abs(z[h, j])), now)
 
@@ -312,9 +309,6 @@ class Follower:
 
     def _believe_again(self, event: Event, now: int) -> None:
         """It agreed with the others for a day: its reading counts again, less the shift that it had before."""
-        if event.kind == "drift":
-            # It left the others and came back by itself: most likely the machine did what training never showed.
-            self.patience[event.j] = min(MORE_PATIENCE * self.patience[event.j], MOST_PATIENCE)
         self.offset_K[event.j] = event.offset_before_K
         self._close(event, now + 1 - self.agreement.blocks)
         self._restore(event.j, event.end or 0)

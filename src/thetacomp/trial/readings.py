@@ -18,7 +18,8 @@ from thetacomp.screening.campaigns import screened
 from thetacomp.twin.hall import DAY_S
 from thetacomp.twin.year import LEAD_DAYS, Readings
 
-SHORTEST_S = 3600.0  # single missing readings and spikes are bridged; faults as long as this are told
+PASSING = ("missing", "spike")  # told only where they last
+SHORTEST_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class ScreenedMonth:
 
 @dataclass(frozen=True)
 class ScreenedYear:
-    """All months, and the faults that were found, those of less than SHORTEST_S left out, as they stood at last."""
+    """All months, and the faults that were found, missing readings and spikes of less than SHORTEST_S left out, as they stood at last."""
 
     months: tuple[ScreenedMonth, ...]
     findings: tuple[Finding, ...]
@@ -63,7 +64,11 @@ def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Seq
         used[i] = verdict.value_degC
         out[i] = [state == "lost" for state in verdict.state]
     end_s = float(t_s[-1])
-    told = [f for f in detector.findings() if (end_s if f.end_s is None else f.end_s) - f.start_s >= SHORTEST_S]
+    told = [
+        f
+        for f in detector.findings()
+        if f.kind not in PASSING or (end_s if f.end_s is None else f.end_s) - f.start_s >= SHORTEST_S
+    ]
     cut = [(begin_s - LEAD_DAYS * DAY_S, float(month.t_s[-1])) for begin_s, month in zip(begins_s, months, strict=True)]
     return ScreenedYear(
         tuple(_month(model.sensor_ids, t_s, used, out, *span) for span in cut),
