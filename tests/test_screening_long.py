@@ -5,6 +5,7 @@ The synthetic machine is `thermal_network`; what was put in is what is expected.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -104,6 +105,20 @@ def test_the_readings_of_a_year_are_judged_by_earlier_ones_only() -> None:
     np.testing.assert_array_equal(first, second)
     assert [f.kind for f in whole.findings] == ["noisy"]
     assert not np.array_equal(first, table.value_degC[:cut])
+
+
+def test_a_sensor_that_was_left_out_is_told_as_lost() -> None:
+    """Nothing rebuilds the sensor where a rebuilt value is said to be as uncertain as all that it moves."""
+    table = with_fault(record(), record().sensor_ids[SENSOR], "missing", BEGIN_S, duration_s=END_S - BEGIN_S)
+    table = Temperatures(table.t_s[: 36 * 60], table.sensor_ids, table.value_degC[: 36 * 60])
+    poor = replace(model(), repair_sd_K=np.tile(model().scale_K[-1], (len(model().elapsed_s), 1)))
+    year = screen_year(poor, [Readings(table.t_s, table.value_degC, ())], [2.0 * DAY_S])
+    (found,) = [f for f in year.findings if f.kind == "missing"]
+    assert found.repair == "lost"
+    (month,) = year.months
+    assert month.out[12 * 60, SENSOR]
+    assert not month.out[5 * 60].any()
+    assert np.isnan(month.temperatures.value_degC[12 * 60, SENSOR])
 
 
 def test_months_follow_each_other_without_a_break() -> None:

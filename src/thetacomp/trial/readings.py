@@ -34,7 +34,11 @@ class ScreenedMonth:
 
 @dataclass(frozen=True)
 class ScreenedYear:
-    """All months, and the faults that were found, missing readings and spikes of less than SHORTEST_S left out, as they stood at last."""
+    """All months, and the faults that were found, as they stood at last; short missing readings and spikes left out.
+
+    A fault ends where the readings begin to agree; they are used a day later. `repair` is `lost` where the sensor was
+    left out for some of that time.
+    """
 
     months: tuple[ScreenedMonth, ...]
     findings: tuple[Finding, ...]
@@ -72,8 +76,16 @@ def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Seq
     cut = [(begin_s - LEAD_DAYS * DAY_S, float(month.t_s[-1])) for begin_s, month in zip(begins_s, months, strict=True)]
     return ScreenedYear(
         tuple(_month(model.sensor_ids, t_s, used, out, *span) for span in cut),
-        tuple(told),
+        tuple(_left_out(f, model, t_s, out) for f in told),
     )
+
+
+def _left_out(found: Finding, model: ScreeningModel, t_s: Floats, out: NDArray[np.bool_]) -> Finding:
+    if not found.sensor:
+        return found
+    end_s = np.inf if found.end_s is None else found.end_s + DAY_S
+    rows = (t_s >= found.start_s) & (t_s < end_s)
+    return replace(found, repair="lost") if out[rows, model.sensor_ids.index(found.sensor)].any() else found
 
 
 def _stream(months: Sequence[Readings], begins_s: Sequence[float]) -> tuple[Floats, Floats]:
