@@ -43,9 +43,11 @@ def noisy(sd_K: float) -> Temperatures:
     return Temperatures(table.t_s, table.sensor_ids, value)
 
 
-def followed(table: Temperatures) -> tuple[Detector, Floats, list[Finding], list[str]]:
+def followed(
+    table: Temperatures, knows: ScreeningModel | None = None
+) -> tuple[Detector, Floats, list[Finding], list[str]]:
     """The detector after the record, the values (n,) and states of the sensor, and what was found."""
-    detector, value, found, state = Detector(model()), [], [], []
+    detector, value, found, state = Detector(knows or model()), [], [], []
     for t_s, row in zip(table.t_s, table.value_degC, strict=True):
         verdict = detector.update(float(t_s), row)
         value.append(verdict.value_degC[SENSOR])
@@ -79,6 +81,18 @@ def test_a_sensor_that_comes_back_is_believed_again_as_it_is_read(kind: str) -> 
     assert state[at_fault] in ("repaired", "lost")
     assert state[-1] == "believed"
     assert value[-1] == record().value_degC[-1, SENSOR]
+
+
+def test_a_small_disagreement_after_a_long_silence_is_no_jump() -> None:
+    """0.8 K are above the jump limit of the sensor (0.41 K) and below what its rebuilt value may be off (1.04 K)."""
+    unsure = replace(model(), repair_sd_K=4.0 * model().repair_sd_K)
+    table = with_fault(record(), record().sensor_ids[SENSOR], "missing", BEGIN_S, duration_s=END_S - BEGIN_S)
+    value = table.value_degC.copy()
+    value[table.t_s >= END_S, SENSOR] += 0.8
+    detector, used, _, state = followed(Temperatures(table.t_s, table.sensor_ids, value), unsure)
+    assert [e.kind for e in detector.follower.events] == ["missing"]
+    assert state[-1] == "believed"
+    assert used[-1] == value[-1, SENSOR]
 
 
 def test_a_drift_that_ends_is_believed_after_a_day() -> None:

@@ -342,4 +342,7 @@ class Follower:
             gap = self.history.rows(event.onset, begin)[:, self.p + j].copy()
             for i, value in enumerate(gap):
                 self.history.set_clean(event.onset + i, j, float(value + deviation * (i + 1) / (len(gap) + 1)))
+        else:
+            # Silent for longer than the windows: all that is left of the rebuilt course goes to where the sensor is.
+            self.history.rows(self.history.first, begin)[:, [self.p + j, 2 * self.p + j]] += deviation
         self._restore(j, begin)
