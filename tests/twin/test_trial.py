@@ -5,18 +5,34 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from synthetic_analysis import sweeps_analysis
+from thetacomp.campaign import Temperatures
 from thetacomp.cli.main import app
+from thetacomp.screening import Finding
 from thetacomp.trial.figures import month_by_month
 from thetacomp.trial.monthly import TOOL, acceptance, by_hour, monthly
-from thetacomp.trial.page import write_trial
+from thetacomp.trial.page import _Told, write_trial
 from thetacomp.trial.probing import Course, adapt
-from thetacomp.trial.run import ADAPTIVE, FROZEN, NOTHING, ONE_SENSOR, Trial, run_trial, stated_places
+from thetacomp.trial.readings import ScreenedMonth, ScreenedYear
+from thetacomp.trial.run import (
+    ADAPTIVE,
+    FROZEN,
+    NOTHING,
+    ONE_SENSOR,
+    Ready,
+    Trial,
+    _lost_parts,
+    _run,
+    run_trial,
+    stated_places,
+)
 from thetacomp.twin.campaigns import Twin
 from thetacomp.twin.conditions import Tracker
 from thetacomp.twin.hall import DAY_S
@@ -128,6 +144,7 @@ def made_trial(twin: Twin, after: np.ndarray) -> Trial:
         in_domain=np.ones((len(t_s), 7)),
         probes={},
         trained=None,  # type: ignore[arg-type]
+        screened=ScreenedYear((), ()),
     )
 
 
@@ -168,6 +185,64 @@ def test_hours_made_worse_are_counted_by_place_too(twin: Twin) -> None:
     assert not worse.passed
 
 
+def test_stretches_of_lost_sensors_are_those_of_the_moments_that_are_judged() -> None:
+    table = Temperatures(60.0 * np.arange(5.0), ("a", "b"), np.zeros((5, 2)))
+    out = np.zeros((5, 2), dtype=bool)
+    out[2:4, 1] = True
+    parts = _lost_parts(ScreenedMonth(table, out), np.array([30.0, 119.0, 120.0, 200.0, 250.0]))
+    assert [(rows.tolist(), lost) for rows, lost in parts] == [
+        ([0, 1], frozenset()),
+        ([2, 3], frozenset({"b"})),
+        ([4], frozenset()),
+    ]
+
+
+def test_where_the_model_changes_the_output_goes_on_without_a_bump(
+    twin: Twin, year: Year, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """10 µm with all sensors, 50 µm without `b`: the difference of 40 µm decays with a time constant of four hours."""
+    begin_s = SHORT.training_days * DAY_S
+    hours = begin_s + 3600.0 * np.arange(1.0, 25.0)
+    out = np.zeros((24, 2), dtype=bool)
+    out[10:] = [False, True]
+    month = ScreenedMonth(Temperatures(hours, ("a", "b"), np.zeros((24, 2))), out)
+
+    def says(
+        model: str, month: object, lost: object, year: object, places: object, t_s: object, rows: Any, into: Any
+    ) -> None:
+        into.error[rows] = {"whole": 10.0, "without b": 50.0}[model]
+
+    monkeypatch.setattr("thetacomp.trial.run._predict", says)
+    model: Any = {frozenset(): "whole", frozenset({"b"}): "without b"}.__getitem__
+    error, _, _ = _run(model, year, ScreenedYear((month,), ()), stated_places(twin)[:1], hours)
+    assert error[9, 0, 0] == error[10, 0, 0] == 10.0
+    np.testing.assert_allclose(error[10:, 0, 0], 50.0 - 40.0 * np.exp(-np.arange(14.0) / 4.0))
+
+
+def test_the_model_without_a_lost_sensor_is_made_once_and_does_not_read_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[str, ...]] = []
+
+    def fit(folder: Any) -> Any:
+        made.append(folder.campaigns[0].temperatures.sensor_ids)
+        return SimpleNamespace(model=f"number {len(made)}")
+
+    monkeypatch.setattr("thetacomp.trial.run.train", fit)
+    folder = sweeps_analysis().folder
+    ids = folder.campaigns[0].temperatures.sensor_ids
+    ready, lost = Ready(folder, "whole"), frozenset(ids[1:2])  # type: ignore[arg-type]
+    assert ready.without(frozenset()) == "whole"
+    assert ready.without(lost) == ready.without(lost) == "number 1"
+    assert made == [ids[:1] + ids[2:]]
+
+
+def test_the_page_tells_when_a_fault_was_there() -> None:
+    """Training takes two days; the fault begins at noon of the third day of the second month and lasts."""
+    start_s = (2 + 30 + 2.5) * DAY_S
+    found = Finding("theta_1", "stuck", start_s, start_s + 600.0, None, 1.0, 1.0, 1.0, 1.0, "lost", (), 1.0)
+    told = _Told.of(found, SHORT)
+    assert (told.begin, told.end, told.seen_min, told.done) == ("2 / 3", "lasts", 10.0, "model without it")
+
+
 def test_an_hour_is_the_mean_of_its_rows() -> None:
     t_s = 1800.0 * np.arange(1.0, 5.0)
     np.testing.assert_array_equal(by_hour(t_s, np.array([[1.0], [3.0], [5.0], [9.0]])), [[2.0], [7.0]])
@@ -195,5 +270,6 @@ def test_a_short_trial_from_end_to_end(twin: Twin, tmp_path: Path) -> None:
         assert len(list(csv.DictReader(file))) == 1 * 6 * 4
     page = paths[0].read_text(encoding="utf-8")
     assert page.count("<svg") == 2
+    assert "Faulty readings" in page
     assert "adaptive default" in page
     assert month_by_month(rows).name == "month_by_month"

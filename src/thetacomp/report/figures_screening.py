@@ -21,6 +21,7 @@ _WORDS = {
     "saturated": "at its limit",
     "swapped": "exchanged",
     "missing": "no reading",
+    "noisy": "noisy",
 }
 
 

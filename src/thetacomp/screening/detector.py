@@ -103,6 +103,11 @@ class Detector:
         self._block.add(value, good, far)
         return self._verdict(t_s, value, good & ~far)
 
+    def findings(self) -> tuple[Finding, ...]:
+        """All faults so far as they stand now, by their begin; an alarm that a later one explained is no fault."""
+        events = sorted((e for e in self.follower.events if e.decided), key=lambda e: e.onset_s)
+        return tuple(finding(self.model, e, self.follower.excluded - {e.j}, self._last_t_s) for e in events)
+
     def finish(self) -> tuple[Finding, ...]:
         """Close the block under way, for the end of a record; the findings it brings."""
         self._found = []

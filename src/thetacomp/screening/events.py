@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from thetacomp.screening.faults import FaultKind
 
 
-@dataclass
+@dataclass(eq=False)  # an event is itself: searching a year of them by value would take minutes
 class Event:
     """A fault as it is followed; block numbers, shifts in K. `end` is the block of its end, None while it lasts.
 
-    `decided` says that the kind is settled; `open` that the sensor's own reading is not used.
+    `decided` says that the kind is settled; `open` that the sensor's own reading is not used; `dropped` that it was no
+    fault of its own after all.
     """
 
     j: int
@@ -33,3 +34,4 @@ class Event:
     partner: int | None = None
     helpers: tuple[int, ...] = ()
     returned: int = 0
+    dropped: bool = False

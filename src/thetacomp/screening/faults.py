@@ -10,7 +10,9 @@ import numpy as np
 from thetacomp.campaign import Floats, Temperatures
 from thetacomp.errors import AnalysisError
 
-FaultKind = Literal["jump", "spike", "drift", "detached", "stuck", "saturated", "swapped", "missing", "unexplained"]
+FaultKind = Literal[
+    "jump", "spike", "drift", "detached", "stuck", "saturated", "swapped", "missing", "noisy", "unexplained"
+]
 InjectedKind = Literal["jump", "drift", "detached", "stuck", "saturated", "swapped", "missing"]
 Repair = Literal["shifted back", "reconstructed", "swapped back", "lost", "none"]
 PLAUSIBLE_DEGC = (-60.0, 300.0)

@@ -117,8 +117,8 @@ def activity(square: Floats, healthy: NDArray[np.bool_]) -> Floats:
     `square` (n, p) are squared increments in units of the typical one. The sensor itself and the two that move most
     are left out: a faulty sensor must not excuse its own residual, nor that of another.
     """
-    s = np.where(healthy, np.nan_to_num(square), 0.0)
-    count = int(np.sum(healthy))
+    s = np.where(healthy & np.isfinite(square), square, 0.0)
+    count = int(np.count_nonzero(healthy))
     drop = min(2, max((count - 1) // 4, 0))
     total = s.sum(axis=1, keepdims=True)
     left = max(count - 1 - drop, 1)

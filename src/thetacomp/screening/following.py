@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from thetacomp.campaign import Floats
+from thetacomp.screening.agreement import Agreement
 from thetacomp.screening.events import Event
 from thetacomp.screening.faults import FaultKind
 from thetacomp.screening.isolation import culprit, exchanged_with
@@ -14,6 +15,7 @@ from thetacomp.screening.window import History
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
 AGAIN_S = 7200.0  # a second change so soon after a step: it was no step
+NOISY_ALARMS = 5  # so many alarms of one sensor within AGAIN_S
 SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
 
 
@@ -32,6 +34,11 @@ class Follower:
         self.source = np.arange(self.p)
         self.open: dict[int, Event] = {}
         self._jumped: dict[int, Event] = {}
+        self._fresh: list[Event] = []
+        self._alarmed: dict[int, list[Event]] = {}
+        self.agreement = Agreement(self.history)
+        self._screened = np.array(model.screened)
+        self._held_s = np.where(self._screened, model.held_s, np.inf)
         self._confirm = max(2, round(CONFIRM_S / model.step_s))
         self._most_at_once = max(2, self.p // 3)
         self._time_s = 0.0
@@ -50,13 +57,15 @@ class Follower:
         """
         self._time_s = time_s
         now = self.history.append(raw)
-        screened = np.array(self.model.screened)
-        if not np.isfinite(raw[screened]).any():
+        if not np.isfinite(raw[self._screened]).any():
             self._hold(now)
             return []
         pause_s = time_s - self._read_s - self.model.step_s
         self._read_s = time_s
-        before = {id(e): (e.decided, e.end) for e in self.events}
+        # Only events that are open, or shifts that last, can still change.
+        known = list(dict.fromkeys([*self._jumped.values(), *self.open.values()]))
+        before = [(e.decided, e.end) for e in known]
+        self._fresh = []
         self._silent(now, raw, held_s)
         self._fill(now, raw)
         self._resume(now, pause_s)
@@ -66,9 +75,12 @@ class Follower:
                 continue  # its partner's decision took it along
             if event.kind in SILENT:
                 self._returns(event, now, raw, held_s)
-            elif not event.decided and now >= event.alarm + self._confirm:
+            if event.open and event.decided and self.agreement.agrees(event, now, raw, held_s, self.excluded):
+                self._believe_again(event, now)
+            if not event.decided and now >= event.alarm + self._confirm:
                 self._decide(event, now, held_s)
-        return [e for e in self.events if e.decided and before.get(id(e), (False, None)) != (e.decided, e.end)]
+        told = [e for e, was in zip(known, before, strict=True) if e.decided and was != (e.decided, e.end)]
+        return [e for e in [*told, *(e for e in self._fresh if e.decided)] if not e.dropped]
 
     def restart(self) -> None:
         """Forget the windows: after a pause of the logger, or a change of operation that training never showed."""
@@ -105,20 +117,30 @@ class Follower:
             j, kind, onset, self._block_time_s(onset), self._time_s + self.model.step_s, statistic, limit, window_s,
             alarm=self.history.count - 1, offset_before_K=float(self.offset_K[j]),
         )  # fmt: skip
-        self.events.append(event)
+        self._add(event)
         self.open[j] = event
         return event
+
+    def _add(self, event: Event) -> None:
+        self.events.append(event)
+        self._fresh.append(event)
+
+    def _drop(self, event: Event) -> None:
+        """It was no fault of its own."""
+        event.dropped = True
+        self.events.remove(event)
 
     def _silent(self, now: int, raw: Floats, held_s: Floats) -> None:
         """Channels that give nothing, or the same reading for longer than any healthy run."""
         step_s = self.model.step_s
-        for j in range(self.p):
-            if j in self.open or not self.model.screened[j]:
+        silent = self._screened & (~np.isfinite(raw) | (held_s > self._held_s))
+        for j in np.flatnonzero(silent).tolist():
+            if j in self.open:
                 continue
             if not np.isfinite(raw[j]):
                 event = self._new(j, "missing", now, step_s, 0.0, step_s)
                 event.decided = True
-            elif held_s[j] > self.model.held_s[j]:
+            else:
                 onset = now - int(held_s[j] / step_s)
                 event = self._new(j, "stuck", onset, float(held_s[j]), float(self.model.held_s[j]), float(held_s[j]))
                 event.decided = True
@@ -171,29 +193,51 @@ class Follower:
         again = self._jumped.get(j)
         slow = again is not None and self._time_s - again.onset_s < AGAIN_S and again.onset > self.history.first
         event = self._new(j, "jump", onset, statistic, float(self.model.threshold[h]), self.model.horizon_s[h])
-        if slow and again is not None and not found.abrupt:
+        if self._is_noisy(event):
+            pass
+        elif slow and again is not None and not found.abrupt:
             # What looked like a step goes on moving: undo the shift and rebuild from before it.
             event.onset, event.onset_s = again.onset, again.onset_s
             self.offset_K[j] = event.offset_before_K = again.offset_before_K
-            self.events.remove(again)
+            self._drop(again)
             event.kind, event.decided = "drift", True
         event.helpers = tuple(k for k in range(self.p) if k not in self.open and self.model.screened[k])
         self._rebuild_from(event.onset, fresh=j)
         return event
+
+    def _is_noisy(self, event: Event) -> bool:
+        """A sensor with one alarm after the other has no shift to take off: it is noisy since the first of them."""
+        j = event.j
+        near = [e for e in self._alarmed.get(j, []) if self._time_s - e.onset_s < AGAIN_S]
+        self._alarmed[j] = [*near, event]
+        if len(near) + 1 < NOISY_ALARMS:
+            return False
+        first = near[0]
+        event.onset, event.onset_s = max(first.onset, self.history.first), first.onset_s
+        self.offset_K[j] = event.offset_before_K = first.offset_before_K
+        for earlier in near:
+            if not earlier.dropped:
+                self._drop(earlier)
+        if self._jumped.get(j) in near:
+            del self._jumped[j]
+        event.kind, event.decided = "noisy", True
+        del self._alarmed[j]
+        return True
 
     def _unexplained(self, z: Floats) -> None:
         """Too many sensors at once: no fault of sensors. Trust the readings and start the windows anew."""
         first = min((e.onset for e in self.open.values() if not e.decided), default=self.history.count - 1)
         for event in [e for e in self.open.values() if not e.decided]:
             del self.open[event.j]
-            self.events.remove(event)
+            self._drop(event)
+            self._alarmed.pop(event.j, None)
             self._restore(event.j, event.onset)
         before = self.history.state(max(first - 1, self.history.first))
         now = self.history.count - 1
         # A step of the operation is no step of the heat stored: the lags keep their distance.
         self.history.set_lag(now, self.history.state(now)[0] + before[1] - before[0])
         h, j = np.unravel_index(int(np.argmax(np.abs(z) / self.model.threshold[:, None])), z.shape)
-        self.events.append(
+        self._add(
             Event(
                 -1, "unexplained", first, self._block_time_s(first), self._time_s + self.model.step_s,
                 float(np.abs(z[h, j])), float(self.model.threshold[h]), self.model.horizon_s[int(h)],
@@ -235,7 +279,7 @@ class Follower:
             # It jumped back: the earlier shift ends here.
             self.offset_K[j] = 0.0
             earlier.end, earlier.end_s = event.onset, event.onset_s
-            self.events.remove(event)
+            self._drop(event)
             del self._jumped[j]
         else:
             self._jumped[j] = event
@@ -257,27 +301,36 @@ class Follower:
         event.open = False
         twin = self.open.get(k)
         if twin is not None:
-            self.events.remove(twin)
+            self._drop(twin)
             del self.open[k]
         del self.open[j]
         self._restore(j, event.onset + 1)
         self._restore(k, event.onset + 1)
 
+    def _believe_again(self, event: Event, now: int) -> None:
+        """It agreed with the others for a day: its reading counts again, less the shift that it had before."""
+        self.offset_K[event.j] = event.offset_before_K
+        self._close(event, now + 1 - self.agreement.blocks)
+        self._restore(event.j, event.end or 0)
+
     def _returns(self, event: Event, now: int, raw: Floats, held_s: Floats) -> None:
         """A channel that was silent speaks again: believed if it agrees with the rebuilt value, else shifted."""
         j = event.j
         speaks = np.isfinite(raw[j]) and (event.kind == "missing" or held_s[j] < self.model.step_s)
-        event.returned = event.returned + 1 if speaks else 0
+        event.returned = min(event.returned + 1, self._confirm) if speaks else 0
         if event.returned == 0 or (event.returned < self._confirm and now - event.onset > 2):
             return
         begin = now + 1 - event.returned
         rows = self.history.rows(begin, now + 1)
-        deviation = float(np.nanmedian(rows[:, j] - self.offset_K[j] - rows[:, self.p + j]))
+        off_K = rows[:, j] - self.offset_K[j] - rows[:, self.p + j]
+        deviation = float(np.nanmedian(off_K)) if np.isfinite(off_K).any() else np.nan
         elapsed_s = (now - event.onset) * self.model.step_s
         u_K = self.model.reconstruction_u_K(j, elapsed_s, self.excluded)
+        limit = float(self.model.threshold[-1])
+        if abs(deviation) > limit * u_K and elapsed_s > self.model.elapsed_s[-1]:
+            return  # rebuilt for so long that nobody knows which of the two is wrong: it has to agree for a day
         event.size_K = deviation
         self._close(event, begin)
-        limit = float(self.model.threshold[-1])
         if abs(deviation) > limit * u_K:
             self.offset_K[j] += deviation
             jump = self._new(j, "jump", begin, abs(deviation) / u_K, limit, elapsed_s)
@@ -289,4 +342,7 @@ class Follower:
             gap = self.history.rows(event.onset, begin)[:, self.p + j].copy()
             for i, value in enumerate(gap):
                 self.history.set_clean(event.onset + i, j, float(value + deviation * (i + 1) / (len(gap) + 1)))
+        else:
+            # Silent for longer than the windows: all that is left of the rebuilt course goes to where the sensor is.
+            self.history.rows(self.history.first, begin)[:, [self.p + j, 2 * self.p + j]] += deviation
         self._restore(j, begin)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -88,12 +89,12 @@ class ScreeningModel:
         default_factory=dict, init=False, repr=False, compare=False
     )
 
-    @property
+    @cached_property
     def horizon_steps(self) -> tuple[int, ...]:
         """The horizons in blocks."""
         return tuple(round(h / self.step_s) for h in self.horizon_s)
 
-    @property
+    @cached_property
     def unscreened(self) -> frozenset[int]:
         """Sensors that had no readings in training."""
         return frozenset(j for j, known in enumerate(self.screened) if not known)
@@ -115,6 +116,21 @@ class ScreeningModel:
             w = self.weights(h, out, j)
             power.append(float(g[j, j] - 2.0 * w @ g[:, j] + w @ g @ w))
         return float(np.sqrt(max(power[1] / power[0], 1.0))) if power[0] > 0 else 1.0
+
+    def inflations(self, h: int, excluded: frozenset[int]) -> Floats:
+        """`inflation` of all sensors at once (p,)."""
+        power = [
+            self._left_over(h, np.array([self.weights(h, out, j) for j in range(len(self.sensor_ids))]))
+            for out in (frozenset[int](), excluded)
+        ]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(power[0] > 0, np.sqrt(np.maximum(power[1] / power[0], 1.0)), 1.0)
+
+    def _left_over(self, h: int, weights: Floats) -> Floats:
+        """Mean squared residual (p,) of weights (p, 2p)."""
+        g, p = self.product_K2[h], len(self.sensor_ids)
+        own = np.diag(g)[:p] - 2.0 * np.einsum("ji,ij->j", weights, g[:, :p])
+        return np.asarray(own + np.einsum("ji,ji->j", weights @ g, weights))
 
     def sd_K(self, h: int, j: int, activity: float, excluded: frozenset[int] = frozenset()) -> float:
         """Standard deviation of a healthy residual of sensor j at horizon number h."""

@@ -17,7 +17,7 @@ from thetacomp.screening.shapes import change
 from thetacomp.screening.window import BASE_BLOCKS
 
 SPIKE_TIMES = 3.0
-REBUILT = ("drift", "detached", "stuck", "saturated", "missing", "spike")
+REBUILT = ("drift", "detached", "stuck", "saturated", "missing", "noisy", "spike")
 
 
 def repaired(

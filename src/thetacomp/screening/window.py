@@ -11,6 +11,7 @@ from thetacomp.screening.model import ScreeningModel
 
 Healthy = NDArray[np.bool_]
 BASE_BLOCKS = 10  # blocks averaged for the last good value
+MOST_STACKS = 2000  # a year at 1 % missing readings meets some hundreds of sets of healthy sensors
 
 
 class History:
@@ -31,7 +32,8 @@ class History:
         self._known = np.concatenate([self._screened, self._screened])
         self._gain = float(-np.expm1(-model.step_s / model.lag_s))
         self._unit_K = np.where(model.scale_K > 0, model.scale_K, 1.0)
-        self._stacks: dict[frozenset[int], tuple[Floats, Floats]] = {}
+        self._steps = np.array(model.horizon_steps)
+        self._stacks: dict[frozenset[int], tuple[Floats, Floats, Healthy]] = {}
 
     @property
     def first(self) -> int:
@@ -105,30 +107,30 @@ class History:
         used = weights != 0.0
         return np.asarray(self.inputs(begin, self.count)[:, used] @ weights[used])
 
-    def stack(self, excluded: frozenset[int]) -> tuple[Floats, Floats]:
-        """Weights (H, p, 2p) of all sensors at all horizons, and the growth of their residuals (H, p)."""
+    def stack(self, excluded: frozenset[int]) -> tuple[Floats, Floats, Healthy]:
+        """Weights (H, p, 2p) at all horizons, the growth of the residuals (H, p), and which sensors are judged (p,)."""
         if excluded not in self._stacks:
-            if len(self._stacks) > 200:
+            if len(self._stacks) > MOST_STACKS:
                 self._stacks.clear()
             horizons, sensors = range(len(self.model.horizon_s)), range(self.p)
+            healthy = self._screened.copy()
+            healthy[list(excluded)] = False
             self._stacks[excluded] = (
                 np.array([[self.model.weights(h, excluded, j) for j in sensors] for h in horizons]),
-                np.array([[self.model.inflation(h, excluded, j) for j in sensors] for h in horizons]),
+                np.array([self.model.inflations(h, excluded) for h in horizons]),
+                healthy,
             )
         return self._stacks[excluded]
 
     def statistic(self, excluded: frozenset[int]) -> Floats:
         """Residuals of the newest increments in standard deviations (H, p); 0 where none can be told."""
         m, p, now = self.model, self.p, self.count - 1
-        healthy = self._screened.copy()
-        healthy[list(excluded)] = False
-        newest = self.inputs(now, now + 1)[0]
-        increment = np.zeros((len(m.horizon_s), 2 * p))
-        for h, steps in enumerate(m.horizon_steps):
-            if now - steps >= max(self.start, self.first):
-                increment[h] = newest - self.inputs(now - steps, now - steps + 1)[0]
-        increment[~np.isfinite(increment)] = 0.0
-        weights, growth = self.stack(excluded)
+        weights, growth, healthy = self.stack(excluded)
+        earlier = now - self._steps
+        reached = earlier >= max(self.start, self.first)
+        rows = self._room[np.where(reached, earlier, now) - self._dropped, p:]
+        increment = self._room[now - self._dropped, p:] - rows
+        increment[~(np.isfinite(increment) & self._known)] = 0.0
         moved = activity((increment[:, :p] / self._unit_K) ** 2, healthy)
         sd = np.hypot(m.floor_K, m.share * moved) * growth
         residual = increment[:, :p] - (weights @ increment[:, :, None])[:, :, 0]

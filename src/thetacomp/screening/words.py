@@ -41,6 +41,7 @@ def _seen(f: Finding) -> str:
         "saturated": "at the limit of its range" + (f", up to {size} off" if size else ""),
         "swapped": f"exchanged with {f.partner}",
         "missing": "no reading",
+        "noisy": "noisy: one alarm after the other",
         "unexplained": "more sensors changed at once than faults can explain",
     }[f.kind]
     return f"{what} {_when(f)}"

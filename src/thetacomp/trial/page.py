@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple, dataclass, fields
 from itertools import groupby
 from pathlib import Path
 
@@ -15,9 +15,12 @@ from markupsafe import Markup, escape
 from thetacomp import __version__
 from thetacomp.report import tables
 from thetacomp.report.rendering import inline_svg, render
+from thetacomp.screening import Finding
 from thetacomp.trial.figures import month_by_month, one_week
 from thetacomp.trial.monthly import TOOL, WORSE_BY_UM, MonthRow
 from thetacomp.trial.run import ADAPTIVE, Trial
+from thetacomp.twin.hall import DAY_S
+from thetacomp.twin.year import MONTH_DAYS, Schedule
 from thetacomp.validation.result import AcceptanceCheck
 
 PAGE_FILE, TABLE_FILE, FIGURE_FOLDER = "trial.html", "monthly.csv", "figures"
@@ -47,6 +50,31 @@ def write_trial(
     return tuple(paths)
 
 
+@dataclass(frozen=True)
+class _Told:
+    """A fault as the page tells it: begin and end as month and day of the months that are judged, from 1 on."""
+
+    sensor: str
+    kind: str
+    begin: str
+    seen_min: float
+    end: str
+    size_K: float
+    done: str
+
+    @classmethod
+    def of(cls, found: Finding, schedule: Schedule) -> _Told:
+        end = "lasts" if found.end_s is None else _date(found.end_s, schedule)
+        seen_min = max(found.detected_s - found.start_s, 0.0) / 60.0
+        done = {"reconstructed": "rebuilt", "lost": "model without it"}.get(found.repair, found.repair)
+        return cls(found.sensor, found.kind, _date(found.start_s, schedule), seen_min, end, found.size_K, done)
+
+
+def _date(t_s: float, schedule: Schedule) -> str:
+    days = t_s / DAY_S - schedule.training_days
+    return f"{int(days // MONTH_DAYS) + 1} / {int(days % MONTH_DAYS) + 1}" if days >= 0.0 else "before"
+
+
 def _page(trial: Trial, rows: Sequence[MonthRow], checks: Sequence[AcceptanceCheck], pictures: Sequence[object]) -> str:
     environment = Environment(
         loader=ChoiceLoader(
@@ -71,6 +99,7 @@ def _page(trial: Trial, rows: Sequence[MonthRow], checks: Sequence[AcceptanceChe
         figures=pictures,
         worse_um=WORSE_BY_UM,
         main=ADAPTIVE,
+        readings=[_Told.of(f, trial.schedule) for f in trial.screened.findings],
         months=[(month, list(lines)) for month, lines in groupby(tool, key=lambda row: row.month)],
     )
 

@@ -13,11 +13,22 @@ from pathlib import Path
 import numpy as np
 
 from thetacomp.campaign import CARTESIAN, Campaign, Floats, LeadIn, MachineFolder, Temperatures
+from thetacomp.compensation.switch import Carried, switch
 from thetacomp.models.axis_model import clock
 from thetacomp.models.document import ModelDocument
 from thetacomp.prediction import Prediction, predict
 from thetacomp.reading import read_folder
 from thetacomp.trial.probing import DAILY, Course, adapt
+from thetacomp.trial.readings import (
+    ScreenedMonth,
+    ScreenedYear,
+    dropped,
+    screen_year,
+    screened_training,
+    screening_model,
+    used_sensors,
+    without_sensors,
+)
 from thetacomp.trial.training import Positions, Trained, at_minute, clock_samples, spindle_duty, train
 from thetacomp.twin.campaigns import Twin
 from thetacomp.twin.hall import DAY_S
@@ -52,7 +63,7 @@ class Trial:
 
     The error counts from the middle of the first cold block, as it does for the model. `band_um` are half widths of
     the stored model's bands, NaN where there are none; `in_domain` (n, places) its flag. `probes` tells how often the
-    adaptation took, limited or gated a probe.
+    adaptation took, limited or gated a probe; `screened` are the readings that all models were given.
     """
 
     preset: str
@@ -67,6 +78,7 @@ class Trial:
     in_domain: Floats
     probes: Mapping[str, int]
     trained: Trained
+    screened: ScreenedYear
 
 
 def stated_places(twin: Twin) -> tuple[Place, ...]:
@@ -92,13 +104,20 @@ def run_trial(
     year = live_a_year(twin, schedule)
     write_machine_folder(folder, twin, year.training)
     measured = _with_days_before(read_folder(folder), year)
+    progress("screening the training campaigns")
+    healthy = screened_training(measured)
     progress("fitting the models")
-    trained = train(measured)
+    trained = train(healthy)
+    progress(f"screening {schedule.months} months of readings")
+    begins_s = [_month_s(schedule, number) for number in range(schedule.months)]
+    readings = screen_year(screening_model(measured), year.months, begins_s)
     progress(f"running {schedule.months} months")
     places = stated_places(twin)
     t_s, true_um = _truth(twin, year, places)
-    frozen, band, inside = _run(trained.model, twin, year, places, t_s)
-    paper, _, _ = _run(trained.paper_model, twin, year, places, t_s)
+    ready = Ready(healthy, trained.model)
+    frozen, band, inside = _run(ready.without, year, readings, places, t_s)
+    # The paper's method has no model without its sensor: it goes on with the rebuilt value, as long as there is one.
+    paper, _, _ = _run(lambda lost: trained.paper_model, year, readings, places, t_s)
     timed = _by_the_clock(trained, year, places, t_s)
     learnt, log = adapt(twin, course, places, t_s, true_um, frozen, band)
     alone, _ = adapt(twin, course, places, t_s, true_um, np.zeros_like(true_um), np.full_like(band, np.inf))
@@ -123,7 +142,12 @@ def run_trial(
         in_domain=inside,
         probes=log,
         trained=trained,
+        screened=readings,
     )
+
+
+def _month_s(schedule: Schedule, number: int) -> float:
+    return (schedule.training_days + number * MONTH_DAYS) * DAY_S
 
 
 def _with_days_before(folder: MachineFolder, year: Year) -> MachineFolder:
@@ -155,36 +179,107 @@ def _truth(twin: Twin, year: Year, places: Sequence[Place]) -> tuple[Floats, Flo
     return t_s, out
 
 
+class Ready:
+    """The default model, and for sensors that are lost the model that the same procedure makes without them.
+
+    `analyze` keeps such a fallback ready for each single sensor; here each one is made when it is first needed.
+    """
+
+    def __init__(self, folder: MachineFolder, model: ModelDocument) -> None:
+        self._folder = folder
+        self._models = {frozenset[str](): model}
+
+    def without(self, lost: frozenset[str]) -> ModelDocument:
+        """The model that does not need the sensors `lost`, fitted on the same campaigns."""
+        if lost not in self._models:
+            self._models[lost] = train(without_sensors(self._folder, sorted(lost))).model
+        return self._models[lost]
+
+
 def _run(
-    model: ModelDocument, twin: Twin, year: Year, places: Sequence[Place], t_s: Floats
+    model: Callable[[frozenset[str]], ModelDocument],
+    year: Year,
+    readings: ScreenedYear,
+    places: Sequence[Place],
+    t_s: Floats,
 ) -> tuple[Floats, Floats, Floats]:
-    """Prediction and half width of its band (n, places, 3), flag of validity (n, places), month by month."""
-    error = np.zeros((len(t_s), len(places), 3))
-    band, inside = np.full_like(error, np.nan), np.zeros(error.shape[:2])
-    known = {component.axis or "" for component in model.components.values()}
-    ids = tuple(s.id for s in twin.sensors)
-    for number, readings in enumerate(year.months):
-        begin_s = (year.schedule.training_days + number * MONTH_DAYS) * DAY_S
+    """Prediction and half width of its band (n, places, 3), flag of validity (n, places), month by month.
+
+    `model` names the model that serves where some sensors are lost. Where it changes, the output goes on from where it
+    was: the difference of the two models decays as `compensation/switch.py` does it.
+    """
+    out = _Output(
+        np.zeros((len(t_s), len(places), 3)),
+        np.full((len(t_s), len(places), 3), np.nan),
+        np.zeros((len(t_s), len(places))),
+    )
+    running: ModelDocument | None = None
+    carried: Carried | None = None
+    for number, month in enumerate(readings.months):
+        begin_s = _month_s(year.schedule, number)
         rows = np.flatnonzero((t_s > begin_s) & (t_s <= begin_s + MONTH_DAYS * DAY_S))
-        table = Temperatures(readings.t_s, ids, readings.value_degC)
-        table = replace(table, value_degC=table.at(table.t_s))
-        asked = [k for k, place in enumerate(places) if place.axis in known]
-        axis = tuple(places[k].axis for k in asked for _ in rows)
-        position = np.repeat([places[k].position_mm for k in asked], len(rows))
-        wanted = Positions(np.tile(t_s[rows], len(asked)), axis, position)
-        got = predict(model, table, wanted, "model", duty=spindle_duty(year.work, readings.t_s, readings.t_s))
-        _fill(got, rows, asked, error, band, inside)
+        parts = _lost_parts(month, t_s[rows])
+        for lost in dict.fromkeys(lost for _, lost in parts):
+            own = np.concatenate([rows[part] for part, some in parts if some == lost])
+            _predict(model(lost), month, lost, year, places, t_s, own, out)
+        for part, lost in parts:
+            own, serving = rows[part], model(lost)
+            if running is not None and serving is not running:
+                carried = switch(t_s[own[0]], out.error[own[0] - 1].ravel(), out.error[own[0]].ravel())
+            running = serving
+            if carried is not None:
+                out.error[own] += np.array([carried.at(s) for s in t_s[own]]).reshape(len(own), len(places), 3)
+    return out.error, out.band, out.inside
+
+
+@dataclass(frozen=True)
+class _Output:
+    """Prediction and half width of its band (n, places, 3) and flag of validity (n, places), while they are filled."""
+
+    error: Floats
+    band: Floats
+    inside: Floats
+
+
+def _lost_parts(month: ScreenedMonth, t_s: Floats) -> list[tuple[Ints, frozenset[str]]]:
+    """The moments (n,) of a month in stretches of the same lost sensors."""
+    out = month.out[np.clip(np.searchsorted(month.temperatures.t_s, t_s, side="right") - 1, 0, None)]
+    begins = np.flatnonzero((out[1:] != out[:-1]).any(axis=1)) + 1
+    ids = np.array(month.temperatures.sensor_ids)
+    return [(part, frozenset(ids[out[part[0]]].tolist())) for part in np.split(np.arange(len(t_s)), begins)]
+
+
+def _predict(
+    model: ModelDocument,
+    month: ScreenedMonth,
+    lost: frozenset[str],
+    year: Year,
+    places: Sequence[Place],
+    t_s: Floats,
+    rows: Ints,
+    out: _Output,
+) -> None:
+    """Fill in what a model says of the moments `rows`, without the sensors that it can do without."""
+    known = {component.axis or "" for component in model.components.values()}
+    table = dropped(month.temperatures, sorted(lost - used_sensors(model)))
+    table = replace(table, value_degC=table.at(table.t_s))
+    asked = [k for k, place in enumerate(places) if place.axis in known]
+    axis = tuple(places[k].axis for k in asked for _ in rows)
+    position = np.repeat([places[k].position_mm for k in asked], len(rows))
+    wanted = Positions(np.tile(t_s[rows], len(asked)), axis, position)
+    got = predict(model, table, wanted, "model", duty=spindle_duty(year.work, table.t_s, table.t_s))
+    _fill(got, rows, asked, out)
     # A component that a model does not have is not compensated.
-    return np.nan_to_num(error), band, inside
+    out.error[rows] = np.nan_to_num(out.error[rows])
 
 
-def _fill(got: Prediction, rows: Ints, asked: Sequence[int], error: Floats, band: Floats, inside: Floats) -> None:
+def _fill(got: Prediction, rows: Ints, asked: Sequence[int], out: _Output) -> None:
     shape = (len(asked), len(rows), 3)
     half_um = (0.5 * (got.upper_um - got.lower_um)).reshape(shape)
     for i, k in enumerate(asked):
-        error[rows, k] = got.error_um.reshape(shape)[i]
-        band[rows, k] = half_um[i]
-        inside[rows, k] = got.in_domain.reshape(shape[:2])[i]
+        out.error[rows, k] = got.error_um.reshape(shape)[i]
+        out.band[rows, k] = half_um[i]
+        out.inside[rows, k] = got.in_domain.reshape(shape[:2])[i]
 
 
 def _by_the_clock(trained: Trained, year: Year, places: Sequence[Place], t_s: Floats) -> Floats:
