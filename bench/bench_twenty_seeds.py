@@ -30,6 +30,10 @@ from thetacomp.twin.sensor_sets import read_places, with_sensors
 from thetacomp.twin.virtual import VirtualMachine, build
 
 LIMIT_PERCENT = 85.0
+# A careful plan: the tracker stands beside the machine, so that the small deviation, X, lies along its beam.
+PLAN = MeasuringPlan(
+    calibrations=16, points=9, readings=4, station_mm=(-3000.0, 2500.0, -2500.0), cold_rounds=4, lead_h=20.0
+)
 OWN, CHOSEN = "own", "chosen"
 STRATEGY = "displacement"
 PLACEMENT_SEED = 1  # of the work that the places are chosen by; it is no machine's
@@ -61,7 +65,7 @@ def main(arguments: Sequence[str] = ()) -> None:
 
 
 def _options() -> argparse.ArgumentParser:
-    plan, options = MeasuringPlan(points=9, readings=4), argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    plan, options = PLAN, argparse.ArgumentParser(description=__doc__.split("\n")[0])
     options.add_argument("--presets", nargs="+", default=list(PRESETS))
     options.add_argument("--sensors", nargs="+", choices=(OWN, CHOSEN), default=[OWN, CHOSEN])
     options.add_argument("--places", type=Path, help="places.csv of `thetacomp place`; by default they are chosen here")
@@ -69,7 +73,7 @@ def _options() -> argparse.ArgumentParser:
     options.add_argument("--calibrations", type=int, default=plan.calibrations)
     options.add_argument("--points", type=int, default=plan.points)
     options.add_argument("--readings", type=int, default=plan.readings)
-    options.add_argument("--station-mm", type=float, nargs=3)
+    options.add_argument("--station-mm", type=float, nargs=3, default=plan.station_mm)
     options.add_argument("--cold-rounds", type=int, default=plan.cold_rounds)
     options.add_argument("--lead-h", type=float, default=plan.lead_h)
     options.add_argument("--no-screening", action="store_true", help="take the readings as they are: much faster")
