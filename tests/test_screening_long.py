@@ -14,7 +14,7 @@ import pytest
 from thermal_network import network, operate
 from thetacomp.campaign import Floats, Temperatures
 from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening, with_fault
-from thetacomp.trial.readings import screen_year
+from thetacomp.trial.readings import as_read, screen_year
 from thetacomp.twin.year import Readings
 
 HOUR_S = 3600.0
@@ -151,3 +151,13 @@ def test_months_follow_each_other_without_a_break() -> None:
         first.temperatures.value_degC[first.temperatures.t_s >= begins[1] - 2 * DAY_S],
     )
     assert len(second.temperatures.t_s) == len(np.unique(second.temperatures.t_s))
+
+
+def test_readings_as_they_are_stay_as_they_are() -> None:
+    table = Temperatures(np.arange(0.0, 600.0, 60.0), ("a", "b"), np.full((10, 2), 20.0))
+    table.value_degC[4, 1] = np.nan
+    year = as_read(("a", "b"), [Readings(table.t_s, table.value_degC, ())])
+    assert not year.judged
+    assert not year.findings
+    assert not year.months[0].out.any()
+    np.testing.assert_array_equal(year.months[0].temperatures.value_degC, table.value_degC)

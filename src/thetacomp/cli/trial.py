@@ -24,13 +24,16 @@ def trial(
     every_min: Annotated[
         int, typer.Option(min=30, max=720, help="Minutes from one round of sweeps to the next in training.")
     ] = 120,
+    screening: Annotated[
+        bool, typer.Option("--screening", help="Screen all temperatures; else they are used as they were read.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train a model in at most ten days, run it for a year, frozen and with one probe a day, and judge every month."""
-    run(lambda: _work(out, preset, seed, months, training, every_min), as_json)
+    run(lambda: _work(out, preset, seed, months, training, every_min, screening), as_json)
 
 
-def _work(out: Path, preset: str, seed: int, months: int, training: str, every_min: int) -> Outcome:
+def _work(out: Path, preset: str, seed: int, months: int, training: str, every_min: int, screening: bool) -> Outcome:
     from thetacomp.trial.monthly import acceptance, monthly
     from thetacomp.trial.page import write_trial
     from thetacomp.trial.run import run_trial
@@ -46,7 +49,7 @@ def _work(out: Path, preset: str, seed: int, months: int, training: str, every_m
     conditions = load_conditions(preset)
     _say("building the machine")
     twin = make_twin(build(load_description(conditions.machine)), conditions, seed)
-    result = run_trial(twin, schedule, out / "machine", progress=_say)
+    result = run_trial(twin, schedule, out / "machine", progress=_say, screening=screening)
     rows = monthly(result)
     checks = acceptance(rows)
     paths = write_trial(result, rows, checks, out)

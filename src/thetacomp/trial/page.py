@@ -100,6 +100,7 @@ def _page(trial: Trial, rows: Sequence[MonthRow], checks: Sequence[AcceptanceChe
         worse_um=WORSE_BY_UM,
         main=ADAPTIVE,
         readings=[_Told.of(f, trial.schedule) for f in trial.screened.findings],
+        judged=trial.screened.judged,
         months=[(month, list(lines)) for month, lines in groupby(tool, key=lambda row: row.month)],
     )
 

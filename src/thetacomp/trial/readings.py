@@ -37,11 +37,27 @@ class ScreenedYear:
     """All months, and the faults that were found, as they stood at last; short missing readings and spikes left out.
 
     A fault ends where the readings begin to agree; they are used a day later. `repair` is `lost` where the sensor was
-    left out for some of that time.
+    left out for some of that time. `judged` is False where no fault was looked for.
     """
 
     months: tuple[ScreenedMonth, ...]
     findings: tuple[Finding, ...]
+    judged: bool = True
+
+
+def as_read(sensor_ids: Sequence[str], months: Sequence[Readings]) -> ScreenedYear:
+    """The readings of all months as they are: no fault is looked for, no sensor is ever lost."""
+    return ScreenedYear(
+        tuple(
+            ScreenedMonth(
+                Temperatures(month.t_s, tuple(sensor_ids), month.value_degC),
+                np.zeros(month.value_degC.shape, dtype=np.bool_),
+            )
+            for month in months
+        ),
+        (),
+        judged=False,
+    )
 
 
 def screened_training(folder: MachineFolder) -> MachineFolder:

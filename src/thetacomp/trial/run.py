@@ -22,6 +22,7 @@ from thetacomp.trial.probing import DAILY, Course, adapt
 from thetacomp.trial.readings import (
     ScreenedMonth,
     ScreenedYear,
+    as_read,
     dropped,
     screen_year,
     screened_training,
@@ -94,23 +95,33 @@ def stated_places(twin: Twin) -> tuple[Place, ...]:
 
 
 def run_trial(
-    twin: Twin, schedule: Schedule, folder: Path, course: Course = DAILY, progress: Progress = lambda message: None
+    twin: Twin,
+    schedule: Schedule,
+    folder: Path,
+    course: Course = DAILY,
+    progress: Progress = lambda message: None,
+    screening: bool = True,
 ) -> Trial:
     """Measure the training days into a machine folder, analyse them, and run the months.
 
-    Raises AnalysisError where `folder` holds something or the training cannot carry an analysis.
+    Without `screening` all readings are used as they are, in training and in the months. Raises AnalysisError where
+    `folder` holds something or the training cannot carry an analysis.
     """
     progress("living the year")
     year = live_a_year(twin, schedule)
     write_machine_folder(folder, twin, year.training)
     measured = _with_days_before(read_folder(folder), year)
-    progress("screening the training campaigns")
-    healthy = screened_training(measured)
+    if screening:
+        progress("screening the training campaigns")
+    healthy = screened_training(measured) if screening else measured
     progress("fitting the models")
     trained = train(healthy)
-    progress(f"screening {schedule.months} months of readings")
     begins_s = [_month_s(schedule, number) for number in range(schedule.months)]
-    readings = screen_year(screening_model(measured), year.months, begins_s)
+    if screening:
+        progress(f"screening {schedule.months} months of readings")
+        readings = screen_year(screening_model(measured), year.months, begins_s)
+    else:
+        readings = as_read([sensor.id for sensor in twin.sensors], year.months)
     progress(f"running {schedule.months} months")
     places = stated_places(twin)
     t_s, true_um = _truth(twin, year, places)
