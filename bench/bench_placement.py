@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import qr
 
-from thetacomp.twin.placement import Field, Spacing, greedy, tool_covariance_um2
+from thetatwin.placement import Field, Spacing, greedy, tool_covariance_um2
 
 CANDIDATES, MODES, OUTPUTS, SENSORS, NOISE_K, RUNS = 100_000, 30, 60, 10, 0.09, 5
 FEW = 2_000

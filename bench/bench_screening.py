@@ -27,9 +27,12 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from thermal_network import network, operate  # noqa: E402
-from thetacomp.campaign import Floats, Temperatures  # noqa: E402
-from thetacomp.compensation.switch import DECAY_S  # noqa: E402
-from thetacomp.models.ridge import HistoryRidge, history_candidates, rise_since  # noqa: E402
+
+from thetacomp.arrays import Floats  # noqa: E402
+from thetacomp.fitting.ridge import HistoryRidge, history_candidates, rise_since  # noqa: E402
+from thetacomp.model.fallback import DECAY_S  # noqa: E402
+from thetacomp.model.filters import HistoryLayout, history_inputs  # noqa: E402
+from thetacomp.model.temperatures import Temperatures  # noqa: E402
 from thetacomp.screening import (  # noqa: E402
     Detector,
     ScreeningModel,
@@ -37,7 +40,6 @@ from thetacomp.screening import (  # noqa: E402
     screen,
     with_fault,
 )
-from thetacomp.temperature.history import HistoryLayout, history_inputs  # noqa: E402
 
 RECORDING = ROOT.parent / "shared" / "data" / "caiviac_fl_thermal" / "data.xlsx"
 CUTS = (0, 1951, 3871, 5791, 7711, 9631, 11115)

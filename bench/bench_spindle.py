@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thetacomp.models.probe import fit_between_probes, follow_probes, probe_rows
-from thetacomp.models.ridge import BlockUse, HistoryRidge, history_candidates, rise_since
-from thetacomp.temperature.history import HistoryLayout, history_inputs
+from thetacomp.fitting.probe import fit_between_probes, follow_probes, probe_rows
+from thetacomp.fitting.ridge import BlockUse, HistoryRidge, history_candidates, rise_since
+from thetacomp.model.filters import HistoryLayout, history_inputs
 
 # first rows of the six campaigns, as the data's README cuts them
 CAMPAIGN_ROWS = (0, 1951, 3871, 5791, 7711, 9631, 11115)

@@ -22,9 +22,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from thetacomp.campaign import Floats
-from thetacomp.keypoints.subset import best_subset, best_subset_per_target
-from thetacomp.summary import Summary, held_out_squares, least_squares, merge, residual_squares, summarise
+from thetacomp.arrays import Floats
+from thetacomp.moments import Summary, held_out_squares, least_squares, merge, residual_squares, summarise
+from thetacomp.sensors.subset import best_subset, best_subset_per_target
 
 ROWS, SENSORS, TARGETS, CAMPAIGNS, CHOSEN, RUNS = 2000, 60, 18, 10, 4, 5
 T = TypeVar("T")

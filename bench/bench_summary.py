@@ -41,7 +41,7 @@ def write_telemetry(path: Path, rows: int) -> None:
 
 
 def run_ours(path: Path) -> list[float]:
-    from thetacomp.summary_parquet import summarise_parquet
+    from thetacomp.moments_parquet import summarise_parquet
 
     (summary,) = summarise_parquet(path, INPUT_NAMES, TARGET_NAMES)
     spread = np.sqrt(np.diag(summary.cross) / (summary.count - 1))

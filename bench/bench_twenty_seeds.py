@@ -20,14 +20,14 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
-from thetacomp.report.placement_page import PLACES, write_placement
-from thetacomp.trial.loop import Deviation, MeasuringPlan, summaries, verify_machine
-from thetacomp.twin.conditions import PRESETS, Conditions, load_conditions
-from thetacomp.twin.description import load_description
-from thetacomp.twin.mounting import load_mounting
-from thetacomp.twin.sensor_places import place_sensors
-from thetacomp.twin.sensor_sets import read_places, with_sensors
-from thetacomp.twin.virtual import VirtualMachine, build
+from thetatwin.conditions import PRESETS, Conditions, load_conditions
+from thetatwin.description import load_description
+from thetatwin.mounting import load_mounting
+from thetatwin.placement_page import PLACES, write_placement
+from thetatwin.sensor_places import place_sensors
+from thetatwin.sensor_sets import read_places, with_sensors
+from thetatwin.trial.loop import Deviation, MeasuringPlan, summaries, verify_machine
+from thetatwin.virtual import VirtualMachine, build
 
 LIMIT_PERCENT = 85.0
 # A careful plan: the tracker stands beside the machine, so that the small deviation, X, lies along its beam.

@@ -8,19 +8,21 @@ import numpy as np
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign, MachineFolder
-from thetacomp.comparison.result import ComparisonRow
-from thetacomp.conditions import refuse_mixtures
 from thetacomp.errors import AnalysisError
-from thetacomp.keypoints.sensor_curve import sensor_curves
-from thetacomp.keypoints.states import correlation_tables, parameter_table
-from thetacomp.models.axis_model import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
-from thetacomp.models.build import build_document
-from thetacomp.models.document import HistoryAxis
-from thetacomp.models.fallbacks import AxisFallback, axis_fallbacks
-from thetacomp.models.form import with_form
-from thetacomp.models.history_model import MIN_CAMPAIGNS
-from thetacomp.models.procedures import key_point_procedure, paper_procedure
+from thetacomp.fitting.build import build_document
+from thetacomp.fitting.calibrated import calibrated_history
+from thetacomp.fitting.fallbacks import AxisFallback, axis_fallbacks
+from thetacomp.fitting.folds import Fold, forward_in_time, hold_out, named_test, training_states
+from thetacomp.fitting.history_model import MIN_CAMPAIGNS
+from thetacomp.fitting.key_point_law import AnyProcedure, AxisModel, Procedure, all_sensors, clock, training_mean
+from thetacomp.fitting.lost_sensors import with_fallbacks
+from thetacomp.fitting.procedures import key_point_procedure, paper_procedure
+from thetacomp.fitting.rotations import with_form
+from thetacomp.mixtures import refuse_mixtures
+from thetacomp.model.document import HistoryAxis
 from thetacomp.screening.campaigns import screened
+from thetacomp.sensors.parameters import correlation_tables, parameter_table
+from thetacomp.sensors.sensor_curve import sensor_curves
 from thetacomp.separation import ComponentSeparation, separate_all
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
 from thetacomp.states import AxisStates, axis_states
@@ -34,12 +36,10 @@ from thetacomp.validation.acceptance import (
     acceptance_of_static_law,
     in_words,
 )
-from thetacomp.validation.calibrated import calibrated_history
-from thetacomp.validation.folds import Fold, forward_in_time, hold_out, named_test, training_states
+from thetacomp.validation.families.rows import ComparisonRow
 from thetacomp.validation.joint_view import with_drift
-from thetacomp.validation.lost_sensors import with_fallbacks
 from thetacomp.validation.permutation import permutation_test
-from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
+from thetacomp.validation.rows import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 from thetacomp.validation.validate import (
     ALL_CAMPAIGNS,
     Residuals,
@@ -281,8 +281,8 @@ def _compare(
     progress: Progress,
 ) -> tuple[tuple[ComparisonRow, ...], tuple[str, ...]]:
     """Families of models beside the stored one, with the folds of the main hold-out."""
-    from thetacomp.comparison.compare import AxisTask, compare_families  # loads scikit-learn
-    from thetacomp.comparison.families import FAMILIES
+    from thetacomp.validation.families.compare import AxisTask, compare_families  # loads scikit-learn
+    from thetacomp.validation.families.families import FAMILIES
 
     cartesian = {axis.name: axis.cartesian for axis in folder.machine.axes}
     tasks = [

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from thetacomp.campaign import CorrelationTable, MachineFolder
-from thetacomp.comparison.result import ComparisonRow
-from thetacomp.keypoints.result import AxisKeyPoints
-from thetacomp.keypoints.sensor_curve import SensorCurve
-from thetacomp.models.document import ModelDocument
+from thetacomp.model.document import ModelDocument
 from thetacomp.screening.campaigns import ScreenedFolder
-from thetacomp.separation.result import ComponentSeparation
-from thetacomp.temperature.result import LayoutCheck, SensorRise
-from thetacomp.validation.result import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
+from thetacomp.sensors.key_points import AxisKeyPoints
+from thetacomp.sensors.sensor_curve import SensorCurve
+from thetacomp.separation.component import ComponentSeparation
+from thetacomp.temperature.rises import LayoutCheck, SensorRise
+from thetacomp.validation.families.rows import ComparisonRow
+from thetacomp.validation.rows import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 
 
 @dataclass(frozen=True)

@@ -10,19 +10,11 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from thetacomp.arrays import Floats, Ints
 from thetacomp.machine import Machine, Strict
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-CARTESIAN = ("X", "Y", "Z")
-GAP_INTERVALS = 3.0
-GAP_S = 600.0
-
+from thetacomp.model.temperatures import Duty, Temperatures
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -56,36 +48,6 @@ class CampaignSettings(Strict):
     sign: Literal["stated", "unproven"] = "stated"
     origin: str = ""
     tracker: TrackerSettings | None = None
-
-
-@dataclass(frozen=True)
-class Temperatures:
-    """Sensor temperatures: `t_s` (n,) ascending, `value_degC` (n, sensors)."""
-
-    t_s: Floats
-    sensor_ids: tuple[str, ...]
-    value_degC: Floats
-
-    def at(self, t_s: Floats) -> Floats:
-        """Temperatures at other times, shape (len(t_s), sensors): linear between samples, held at the ends.
-
-        A missing sample is bridged by its neighbours; a gap of more than three sampling intervals and ten minutes
-        stays a gap (NaN), at the ends too. A sensor without any sample is NaN throughout.
-        """
-        interval_s = float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
-        limit_s = max(GAP_INTERVALS * interval_s, GAP_S)
-        out = np.full((len(t_s), len(self.sensor_ids)), np.nan)
-        for j in range(len(self.sensor_ids)):
-            good = np.isfinite(self.value_degC[:, j])
-            if good.any():
-                known_s = self.t_s[good]
-                after = np.clip(np.searchsorted(known_s, t_s), 0, len(known_s) - 1)
-                before = np.maximum(after - 1, 0)
-                between = (t_s > known_s[before]) & (t_s < known_s[after])
-                far = between & (known_s[after] - known_s[before] > limit_s)
-                far |= (t_s - known_s[-1] > limit_s) | (known_s[0] - t_s > limit_s)
-                out[:, j] = np.where(far, np.nan, np.interp(t_s, known_s, self.value_degC[good, j]))
-        return out
 
 
 @dataclass(frozen=True)
@@ -185,14 +147,6 @@ class Parameters:
     p0_mm: Floats
     p_min_mm: Floats
     p_max_mm: Floats
-
-
-@dataclass(frozen=True)
-class Duty:
-    """What the machine did: named columns such as `spindle_rpm`, `feed_mm_min`, each (n,)."""
-
-    t_s: Floats
-    columns: Mapping[str, Floats]
 
 
 @dataclass(frozen=True)

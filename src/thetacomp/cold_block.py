@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints, SweepPoints
+from thetacomp.arrays import Floats, Ints
+from thetacomp.campaign import SweepPoints
 
 
 @dataclass(frozen=True)

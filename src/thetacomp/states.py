@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from thetacomp.campaign import Campaign, Floats, Ints, MachineFolder
+from thetacomp.arrays import Bools, Floats, Ints
+from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
-from thetacomp.separation.result import Bools, ComponentSeparation, mean_square_m2
-from thetacomp.temperature.history import HistoryLayout
+from thetacomp.model.filters import HistoryLayout
+from thetacomp.separation.component import ComponentSeparation, mean_square_m2
+from thetacomp.temperature.history_track import HistoryTrack, history_layout, history_track
 from thetacomp.temperature.passage import Passage, joined, passage
-from thetacomp.temperature.track import HistoryTrack, history_layout, history_track
 
 DRIFT = ""
 LINE_POSITIONS = 31

@@ -12,7 +12,7 @@ from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, progress_li
 
 if TYPE_CHECKING:
     from thetacomp.analysis_result import Analysis
-    from thetacomp.validation.result import ValidationRow
+    from thetacomp.validation.rows import ValidationRow
 
 
 def analyze(
@@ -40,9 +40,9 @@ def analyze(
 
     def work() -> Outcome:
         from thetacomp.analysis import analyze_folder
-        from thetacomp.output import write_tables
         from thetacomp.reading import read_folder
         from thetacomp.report import write_report
+        from thetacomp.report.analysis_files import write_tables
 
         progress = progress_lines(as_json)
         progress("reading")

@@ -10,7 +10,7 @@ import typer
 from thetacomp.cli.common import BAD_USAGE, DONE, NOT_FIT, JsonOption, Outcome, run
 
 if TYPE_CHECKING:
-    from thetacomp.models.document import ModelDocument
+    from thetacomp.model.document import ModelDocument
 
 
 def export(
@@ -29,7 +29,7 @@ def export(
 
 def _export(model_path: Path, target: str, out: Path, settings: Path | None, replay: Path | None) -> Outcome:
     from thetacomp.controllers.targets import TARGETS
-    from thetacomp.models.document import load_model
+    from thetacomp.model.document import load_model
 
     if target not in TARGETS:
         text = f"error: this version writes {', '.join(TARGETS)}, not '{target}'. Fix: --target {next(iter(TARGETS))}."
@@ -80,7 +80,7 @@ def _replay(model: ModelDocument, target: str, out: Path, settings: Path | None,
 
     from thetacomp.controllers.targets import REPLAYS
     from thetacomp.reading import read_folder
-    from thetacomp.sheets.replay import replay_lines, series, write_replay
+    from thetacomp.report.replay import replay_lines, series, write_replay
 
     campaigns = read_folder(folder).campaigns
     replays = [REPLAYS[target](model, settings, campaign.name, *series(campaign)) for campaign in campaigns]

@@ -16,8 +16,8 @@ from thetacomp.cli.common import JsonOption, Outcome, run
 
 if TYPE_CHECKING:
     from thetacomp.campaign import CorrelationTable, MachineFolder
-    from thetacomp.keypoints.result import AxisKeyPoints, StrategyTable
     from thetacomp.machine import Machine
+    from thetacomp.sensors.key_points import AxisKeyPoints, StrategyTable
 
 NARROWEST, WIDEST = 60, 100
 MEASURED, PUBLISHED = "measurements", "correlation tables"
@@ -92,8 +92,8 @@ def keypoints(
 
 
 def _from_tables(tables: tuple[Path, Path], folder: Path | None, machine: Path | None) -> Outcome:
-    from thetacomp.keypoints.selection import key_points_from_correlations
     from thetacomp.reading import read_correlations, read_folder, read_machine
+    from thetacomp.sensors.selection import key_points_from_correlations
 
     known: Machine | None = None
     if folder is not None:
@@ -109,8 +109,8 @@ def _from_tables(tables: tuple[Path, Path], folder: Path | None, machine: Path |
 
 
 def _from_folder(path: Path, method: MethodName) -> Outcome:
-    from thetacomp.keypoints.selection import key_points, key_points_from_correlations
     from thetacomp.reading import read_folder
+    from thetacomp.sensors.selection import key_points, key_points_from_correlations
     from thetacomp.separation import separate_folder
 
     folder = read_folder(path)

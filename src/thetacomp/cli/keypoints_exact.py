@@ -17,8 +17,8 @@ import typer
 from thetacomp.cli.common import Outcome
 
 if TYPE_CHECKING:
-    from thetacomp.keypoints.sensor_curve import CurvePoint, ScoreName, SensorCurve
-    from thetacomp.keypoints.subset import SearchProgress
+    from thetacomp.sensors.sensor_curve import CurvePoint, ScoreName, SensorCurve
+    from thetacomp.sensors.subset import SearchProgress
 
 _EVERY_S = 2.0
 _WIDTH = 100
@@ -33,8 +33,8 @@ _SCORES = {
 def exact_key_points(path: Path, sensors: int | None, score: ScoreName, budget_s: float | None, quiet: bool) -> Outcome:
     """Search every axis of a folder; Ctrl-C ends the search and tells what is known until then."""
     from thetacomp.errors import AnalysisError
-    from thetacomp.keypoints.sensor_curve import sensor_curve
     from thetacomp.reading import read_folder
+    from thetacomp.sensors.sensor_curve import sensor_curve
     from thetacomp.separation import separate_folder
     from thetacomp.states import axis_states
 

@@ -10,7 +10,7 @@ import typer
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
 
 if TYPE_CHECKING:
-    from thetacomp.twin.sensor_places import Placement
+    from thetatwin.sensor_places import Placement
 
 
 def place(
@@ -28,12 +28,12 @@ def place(
 
 
 def _work(out: Path, preset: str, mounting_name: str, sensors: int, seed: int) -> Outcome:
-    from thetacomp.report.placement_page import PAGE, write_placement
-    from thetacomp.twin.conditions import load_conditions
-    from thetacomp.twin.description import load_description
-    from thetacomp.twin.mounting import load_mounting
-    from thetacomp.twin.sensor_places import existing_margin_um, place_sensors
-    from thetacomp.twin.virtual import build
+    from thetatwin.conditions import load_conditions
+    from thetatwin.description import load_description
+    from thetatwin.mounting import load_mounting
+    from thetatwin.placement_page import PAGE, write_placement
+    from thetatwin.sensor_places import existing_margin_um, place_sensors
+    from thetatwin.virtual import build
 
     conditions = load_conditions(preset)
     description = load_description(conditions.machine)

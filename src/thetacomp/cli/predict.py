@@ -12,11 +12,11 @@ import typer
 from thetacomp.cli.common import JsonOption, Outcome, run
 
 if TYPE_CHECKING:
-    from thetacomp.campaign import Duty, Temperatures
-    from thetacomp.models.document import ModelDocument
-    from thetacomp.prediction import Breach, Prediction, Reference
+    from thetacomp.model.document import ModelDocument
+    from thetacomp.model.prediction import Breach, Prediction, Reference
+    from thetacomp.model.temperatures import Duty, Temperatures
+    from thetacomp.model.volumetric import VolumePrediction
     from thetacomp.reading.lone import Positions
-    from thetacomp.volumetric import VolumePrediction
 
 EARLIEST_DATE_S = 1e8  # tables with dates count from 1970; no campaign runs for three years
 
@@ -43,8 +43,8 @@ def predict(
 def _predict(
     model_path: Path, temperatures_path: Path, positions_path: Path, duty_path: Path | None, out: Path, reference: str
 ) -> Outcome:
-    from thetacomp.models.document import load_model
-    from thetacomp.prediction import predict, write_prediction
+    from thetacomp.model.document import load_model
+    from thetacomp.model.prediction import predict, write_prediction
     from thetacomp.reading import read_duty, read_positions, read_temperatures
 
     model = load_model(model_path)
@@ -72,7 +72,7 @@ def _predict_volume(
 ) -> Outcome:
     """Positions of all axes at once: the joint form."""
     from thetacomp.errors import AnalysisError
-    from thetacomp.volumetric import predict_volume, write_volume
+    from thetacomp.model.volumetric import predict_volume, write_volume
 
     if any(positions.axis):
         raise AnalysisError(

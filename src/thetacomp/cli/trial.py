@@ -34,15 +34,15 @@ def trial(
 
 
 def _work(out: Path, preset: str, seed: int, months: int, training: str, every_min: int, screening: bool) -> Outcome:
-    from thetacomp.trial.monthly import acceptance, monthly
-    from thetacomp.trial.page import write_trial
-    from thetacomp.trial.run import run_trial
-    from thetacomp.twin.campaigns import make_twin
-    from thetacomp.twin.conditions import load_conditions
-    from thetacomp.twin.description import load_description
-    from thetacomp.twin.virtual import build
-    from thetacomp.twin.writer import refuse_filled
-    from thetacomp.twin.year import Schedule
+    from thetatwin.campaigns import make_twin
+    from thetatwin.conditions import load_conditions
+    from thetatwin.description import load_description
+    from thetatwin.trial.monthly import acceptance, monthly
+    from thetatwin.trial.page import write_trial
+    from thetatwin.trial.run import run_trial
+    from thetatwin.virtual import build
+    from thetatwin.writer import refuse_filled
+    from thetatwin.year import Schedule
 
     schedule = Schedule(_days(training), months=months, between_rounds_min=every_min)
     refuse_filled(out)
@@ -80,7 +80,7 @@ def _work(out: Path, preset: str, seed: int, months: int, training: str, every_m
 def _days(training: str) -> tuple[int, ...]:
     """`2,2,2` as whole days. Raises AnalysisError for anything that is no schedule of at most ten days."""
     from thetacomp.errors import AnalysisError
-    from thetacomp.twin.year import MOST_TRAINING_DAYS
+    from thetatwin.year import MOST_TRAINING_DAYS
 
     days = tuple(int(part) for part in training.split(",") if part.strip().isdecimal())
     if len(days) != len(training.split(",")) or len(days) < 2 or 0 in days or sum(days) > MOST_TRAINING_DAYS:

@@ -26,13 +26,13 @@ def twin(
 
 
 def _work(out: Path, preset: str, seed: int, campaigns: int, places: Path | None, strategy: str) -> Outcome:
-    from thetacomp.twin.campaigns import make_twin, plan_campaigns
-    from thetacomp.twin.conditions import load_conditions
-    from thetacomp.twin.description import load_description
-    from thetacomp.twin.picture import draw_machine
-    from thetacomp.twin.sensor_sets import read_places, with_sensors
-    from thetacomp.twin.virtual import build
-    from thetacomp.twin.writer import refuse_filled, truth_folder, write_twin
+    from thetatwin.campaigns import make_twin, plan_campaigns
+    from thetatwin.conditions import load_conditions
+    from thetatwin.description import load_description
+    from thetatwin.picture import draw_machine
+    from thetatwin.sensor_sets import read_places, with_sensors
+    from thetatwin.virtual import build
+    from thetatwin.writer import refuse_filled, truth_folder, write_twin
 
     refuse_filled(out)
     conditions = load_conditions(preset)

@@ -27,9 +27,9 @@ def verify(
     """Compare runs with compensation off and on; name the cause where the result is a no-go."""
 
     def work() -> Outcome:
-        from thetacomp.models.document import load_model
+        from thetacomp.model.document import load_model
         from thetacomp.reading import read_folder
-        from thetacomp.sheets.verification import write_verification
+        from thetacomp.report.verification import write_verification
         from thetacomp.verification import verify_folder
 
         progress = progress_lines(as_json)

@@ -12,11 +12,11 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from thetacomp.campaign import Floats
-from thetacomp.compensation.law import Law
+from thetacomp.arrays import Floats
 from thetacomp.errors import InputError, Problem
 from thetacomp.machine import Strict
-from thetacomp.models.document import LinearTerm
+from thetacomp.model.document import LinearTerm
+from thetacomp.model.law import Law
 
 SettingsT = TypeVar("SettingsT", bound=Strict)
 

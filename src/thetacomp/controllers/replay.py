@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 
 TOGETHER = "all together"
 Limit = Callable[[Floats, Floats], Floats]

@@ -16,19 +16,19 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from thetacomp.campaign import CARTESIAN, Floats
-from thetacomp.compensation.domain import Box, largest, training_box_degC
-from thetacomp.compensation.law import Law, inputs_of, laws
-from thetacomp.compensation.length import (
+from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.controllers.base import RegisterLaw, register_law
+from thetacomp.errors import AnalysisError, InputError, Problem
+from thetacomp.machine import Axis, Strict
+from thetacomp.model.document import Component, ModelDocument
+from thetacomp.model.domain import Box, largest, training_box_degC
+from thetacomp.model.law import Law, inputs_of, laws
+from thetacomp.model.wanted_length import (
     REFERENCE_DEGC,
     expansion_um_per_m_per_K,
     follows_workpiece,
     zero_mm,
 )
-from thetacomp.controllers.base import RegisterLaw, register_law
-from thetacomp.errors import AnalysisError, InputError, Problem
-from thetacomp.machine import Axis, Strict
-from thetacomp.models.document import Component, ModelDocument
 
 TABLE_POINTS = 11  # ten steps: the step stays an exact decimal number, so MAX - MIN is a whole number of steps
 GRID_STATES = 10

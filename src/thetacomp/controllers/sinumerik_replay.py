@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.controllers.base import RegisterLaw
 from thetacomp.controllers.replay import (
     Loss,
@@ -30,7 +30,7 @@ from thetacomp.controllers.replay import (
 )
 from thetacomp.controllers.sinumerik import Plan, SagTable, SinumerikSettings, make_plan
 from thetacomp.errors import AnalysisError
-from thetacomp.models.document import ModelDocument
+from thetacomp.model.document import ModelDocument
 
 UPDATE, CLAMP, ENTRY, ROUNDING = "update of the writer", "clamp of the writer", "largest entry", "rounding"
 FILTER, RAMP, STEP, SUM, SUM_STEP = (

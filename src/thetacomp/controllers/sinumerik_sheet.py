@@ -7,12 +7,12 @@ from html import escape
 from math import isfinite
 
 from thetacomp import __version__
-from thetacomp.compensation.length import follows_workpiece
 from thetacomp.controllers.base import RegisterLaw
 from thetacomp.controllers.sinumerik import TABLE_POINTS, Plan
 from thetacomp.controllers.sinumerik_files import law_in_digits, number, reference_lines, sensor_names
 from thetacomp.controllers.sinumerik_remarks import differing, failed_checks, not_compensated, worst_drift
 from thetacomp.controllers.sinumerik_signtest import sign_tests
+from thetacomp.model.wanted_length import follows_workpiece
 
 _STYLE = """
 @page { size: A4; margin: 14mm 12mm; }

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.controllers.base import Export, ExportFile, read_settings
 from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
 from thetacomp.controllers.sinumerik_remarks import remarks
 from thetacomp.controllers.sinumerik_replay import CampaignReplay, replay_campaign
 from thetacomp.controllers.sinumerik_sheet import commissioning_sheet
-from thetacomp.models.document import ModelDocument
+from thetacomp.model.document import ModelDocument
 
 CEC_FILE = "sinumerik_cec.ini"
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.patches import Rectangle
 
-from thetacomp.campaign import CARTESIAN
+from thetacomp.arrays import CARTESIAN
 from thetacomp.planning.foundation import FoundationTarget, tool_reach_mm
 from thetacomp.planning.setup import Setup
 from thetacomp.planning.timetable import Timetable

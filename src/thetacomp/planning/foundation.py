@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import CARTESIAN, Floats
+from thetacomp.arrays import CARTESIAN, Floats
 from thetacomp.planning.setup import Setup
 from thetacomp.planning.steps import TARGETS
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import CARTESIAN, Floats
+from thetacomp.arrays import CARTESIAN, Floats
 from thetacomp.errors import InputError, Problem
 from thetacomp.machine import Axis, Machine
 from thetacomp.planning.options import PlanOptions, check_options, problem

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import CARTESIAN, Floats
+from thetacomp.arrays import CARTESIAN, Floats
 from thetacomp.planning.foundation import FoundationTarget, rigid_rows, standard_um, tie_covariance
 from thetacomp.planning.setup import AxisPlan, Setup
 from thetacomp.planning.timetable import COLD_ROUNDS

@@ -9,16 +9,10 @@ from typing import cast
 
 import numpy as np
 
-from thetacomp.campaign import (
-    CARTESIAN,
-    Campaign,
-    CampaignSettings,
-    Drift,
-    Duty,
-    Parameters,
-    Temperatures,
-)
+from thetacomp.arrays import CARTESIAN
+from thetacomp.campaign import Campaign, CampaignSettings, Drift, Parameters
 from thetacomp.machine import Machine
+from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.reading import checks, tracker
 from thetacomp.reading.columns import ERRORS
 from thetacomp.reading.lead_in import with_lead_in

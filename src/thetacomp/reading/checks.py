@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from thetacomp.campaign import Floats, SweepPoints, Temperatures
+from thetacomp.arrays import Floats
+from thetacomp.campaign import SweepPoints
 from thetacomp.machine import Machine
+from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading.columns import ERRORS, ROTATIONS
 from thetacomp.reading.problems import ProblemList
 from thetacomp.reading.tables import Table

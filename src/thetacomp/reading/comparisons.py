@@ -8,8 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
-from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Temperatures
+from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.machine import Machine
+from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading.problems import ProblemList
 
 FAR_K = 15.0

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from thetacomp.campaign import CorrelationTable, Floats
+from thetacomp.arrays import Floats
+from thetacomp.campaign import CorrelationTable
 from thetacomp.reading.columns import Matched, Meaning, Schema
 from thetacomp.reading.problems import ProblemList, UnreadableError
 from thetacomp.reading.sources import read_source

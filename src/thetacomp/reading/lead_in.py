@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from thetacomp.campaign import Campaign, Duty, Floats, LeadIn, Temperatures
+from thetacomp.arrays import Floats
+from thetacomp.campaign import Campaign, LeadIn
+from thetacomp.model.temperatures import Duty, Temperatures
 
 
 def with_lead_in(campaign: Campaign) -> Campaign:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from thetacomp.campaign import Duty, Floats, Temperatures
+from thetacomp.arrays import Floats
+from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.reading import campaigns
 from thetacomp.reading.columns import ANY_SENSORS, DUTY, POSITIONS, Meaning, Schema, match
 from thetacomp.reading.problems import ProblemList, UnreadableError

@@ -12,8 +12,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from thetacomp.campaign import Campaign, CampaignSettings, Duty, Ints, LeadIn, Temperatures
+from thetacomp.arrays import Ints
+from thetacomp.campaign import Campaign, CampaignSettings, LeadIn
 from thetacomp.machine import Machine, Strict
+from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.reading import campaigns
 from thetacomp.reading.columns import Matched, Meaning, Schema, schema
 from thetacomp.reading.machine_file import Sections, check_format, read_toml, settings_plausible, translate

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Floats, Ints
 from thetacomp.reading import text
 from thetacomp.reading.problems import UnreadableError, quoted, shortened
 from thetacomp.reading.workbook import Workbook

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints, SweepPoints
+from thetacomp.arrays import Floats, Ints
+from thetacomp.campaign import SweepPoints
 from thetacomp.machine import Machine
 from thetacomp.reading import checks
 from thetacomp.reading.columns import ERRORS, ROTATIONS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)

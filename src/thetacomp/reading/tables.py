@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Floats, Ints
 from thetacomp.reading import text
 from thetacomp.reading.columns import Matched, Schema, match
 from thetacomp.reading.problems import ProblemList, UnreadableError, shortened

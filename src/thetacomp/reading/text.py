@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Floats, Ints
 from thetacomp.reading.problems import UnreadableError, shortened
 
 DELIMITERS = (",", ";", "\t")

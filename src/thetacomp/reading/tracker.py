@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from thetacomp.arrays import Bools
 from thetacomp.campaign import CampaignSettings, SweepPoints, TrackerTie
 from thetacomp.machine import Machine
 from thetacomp.reading import checks
@@ -15,7 +16,6 @@ from thetacomp.reading.problems import ProblemList, quoted
 from thetacomp.reading.sweep_table import sweep_points
 from thetacomp.reading.tables import Clock, Table
 from thetacomp.tracker import Foundation, FrameError, to_machine_frame
-from thetacomp.tracker.rigid import Bools
 
 ONE_STATION = "1"
 NEAREST_MM, FARTHEST_MM = 100.0, 200_000.0

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints, TrackerSettings
+from thetacomp.arrays import Floats, Ints
+from thetacomp.campaign import TrackerSettings
 from thetacomp.reading import text
 from thetacomp.reading.columns import XYZ, Matched, match, tracker_file_schema
 from thetacomp.reading.problems import ProblemList, UnreadableError, nearest, quoted

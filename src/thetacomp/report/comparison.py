@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from thetacomp.analysis_result import Analysis
-from thetacomp.comparison.result import ComparisonRow
 from thetacomp.report import style
 from thetacomp.report.tables import component_name
+from thetacomp.validation.families.rows import ComparisonRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS
 
 

@@ -13,7 +13,7 @@ from thetacomp.analysis_result import Analysis
 from thetacomp.report import style
 from thetacomp.report.prediction import drawn_law, predict_states
 from thetacomp.report.style import HOUR_S, TIME_COLORS
-from thetacomp.separation.result import ComponentSeparation, GeometryCurve
+from thetacomp.separation.component import ComponentSeparation, GeometryCurve
 
 _MOST_POINTS = 800
 _MOST_LINES = 40

@@ -11,12 +11,12 @@ from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 
 from thetacomp.analysis_result import Analysis
-from thetacomp.campaign import Floats
-from thetacomp.models.document import Component, LinearTerm
+from thetacomp.arrays import Floats
+from thetacomp.model.document import Component, LinearTerm
 from thetacomp.report import style
 from thetacomp.report.prediction import drawn_law, explains, half_band, predict_states, reference_degC, term_at
 from thetacomp.report.style import CAMPAIGN_MARKS, HOUR_S, TIME_COLORS
-from thetacomp.separation.result import ComponentSeparation
+from thetacomp.separation.component import ComponentSeparation
 
 NOT_PREDICTED = "no sensor predicts this component; nothing is compensated"
 _MOST_POINTS = 1200

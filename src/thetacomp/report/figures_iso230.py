@@ -12,7 +12,7 @@ from thetacomp.machine import Machine
 from thetacomp.report import style
 from thetacomp.report.figures_temperature import draw_temperatures, mark_heat
 from thetacomp.report.style import HOUR_S
-from thetacomp.standards.conditions import moving
+from thetacomp.standards.environment import moving
 from thetacomp.standards.iso230_2 import Positioning
 from thetacomp.standards.iso230_3 import FIRST_S, Series, ThermalTest
 

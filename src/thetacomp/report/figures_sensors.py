@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
 from thetacomp.analysis_result import Analysis
-from thetacomp.keypoints.sensor_curve import SelectionShares, SensorCurve
 from thetacomp.report import style
+from thetacomp.sensors.sensor_curve import SelectionShares, SensorCurve
 
 _MOST_BARS = 16
 _SCORES = {

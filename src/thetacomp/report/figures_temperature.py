@@ -11,7 +11,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from thetacomp.analysis_result import Analysis
-from thetacomp.campaign import Campaign, CorrelationTable, Floats
+from thetacomp.arrays import Floats
+from thetacomp.campaign import Campaign, CorrelationTable
 from thetacomp.report import style
 from thetacomp.report.sketch import key_colors
 

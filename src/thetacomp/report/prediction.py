@@ -8,9 +8,9 @@ import numpy as np
 from scipy import special
 
 from thetacomp.analysis_result import Analysis
-from thetacomp.campaign import Floats
-from thetacomp.models.document import Component, LinearTerm
-from thetacomp.separation.result import ComponentSeparation
+from thetacomp.arrays import Floats
+from thetacomp.model.document import Component, LinearTerm
+from thetacomp.separation.component import ComponentSeparation
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from scipy.optimize import isotonic_regression
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 
 HOUR_S = 3600.0
 WIDTH_IN = 9.0

@@ -11,13 +11,13 @@ import numpy as np
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign
-from thetacomp.keypoints.result import AxisKeyPoints
-from thetacomp.models.document import Component, LinearTerm, ModelDocument
+from thetacomp.model.document import Component, LinearTerm, ModelDocument
 from thetacomp.report import style
 from thetacomp.report.prediction import explains
-from thetacomp.separation.result import ComponentSeparation
+from thetacomp.sensors.key_points import AxisKeyPoints
+from thetacomp.separation.component import ComponentSeparation
 from thetacomp.states import LINE_POSITIONS
-from thetacomp.validation.result import ValidationRow
+from thetacomp.validation.rows import ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS, pooled
 
 NOT_AVAILABLE = "–"

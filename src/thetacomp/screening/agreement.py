@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.screening.events import Event
 from thetacomp.screening.fit import activity
 from thetacomp.screening.window import History

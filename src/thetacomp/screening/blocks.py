@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thetacomp.campaign import Floats, Temperatures
+from thetacomp.arrays import Floats
+from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.faults import PLAUSIBLE_DEGC
 
 CHUNK = 5000

@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thetacomp.campaign import Campaign, Floats, LeadIn, MachineFolder, Temperatures
+from thetacomp.arrays import Floats
+from thetacomp.campaign import Campaign, LeadIn, MachineFolder
 from thetacomp.errors import AnalysisError
+from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.faults import Finding
 from thetacomp.screening.fit import fit_plain
 from thetacomp.screening.labels import HeldLabels, labels_note, without_held_labels

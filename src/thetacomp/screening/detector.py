@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.screening.blocks import plausible
 from thetacomp.screening.events import Event

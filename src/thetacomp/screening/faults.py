@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Temperatures
+from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
+from thetacomp.model.temperatures import Temperatures
 
 FaultKind = Literal[
     "jump", "spike", "drift", "detached", "stuck", "saturated", "swapped", "missing", "noisy", "unexplained"

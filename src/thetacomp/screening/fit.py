@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thetacomp.campaign import Floats, Temperatures
+from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
+from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.blocks import block_means, largest_step_K, local_deviation_K, longest_held_s
 from thetacomp.screening.model import ScreeningModel, ridge_weights
 

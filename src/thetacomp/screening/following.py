@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.screening.agreement import Agreement
 from thetacomp.screening.events import Event
 from thetacomp.screening.faults import FaultKind

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.screening.events import Event
 from thetacomp.screening.window import History
 

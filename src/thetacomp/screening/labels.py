@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from thetacomp.campaign import CARTESIAN, Campaign, Drift, Duty, Floats, SweepPoints
+from thetacomp.arrays import CARTESIAN, Bools, Floats
+from thetacomp.campaign import Campaign, Drift, SweepPoints
+from thetacomp.model.temperatures import Duty
 from thetacomp.screening.held_labels import find_held_labels
 
 REPEATS_SHARE = 0.1  # an instrument that repeats more of its other readings is too coarse, or free of noise
@@ -20,8 +21,6 @@ MOVED_K = 0.5  # a machine whose temperatures move less may truly stand still
 FEWEST_POINTS = 3  # a line needs that many
 HOUR_S = 3600.0
 SHOWN = 6
-
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

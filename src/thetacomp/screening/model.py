@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 
 RIDGE = 1e-3  # share of every input's own power; keeps near copies of one sensor from fighting each other

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thetacomp.campaign import Floats, Temperatures
+from thetacomp.arrays import Floats
+from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.blocks import block_means, local_deviation_K, plausible
 from thetacomp.screening.events import Event
 from thetacomp.screening.fit import inputs

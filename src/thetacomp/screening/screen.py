@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thetacomp.campaign import Temperatures
 from thetacomp.errors import AnalysisError
+from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.detector import Detector, finding
 from thetacomp.screening.events import Event
 from thetacomp.screening.faults import Finding

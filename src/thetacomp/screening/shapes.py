@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 
 TIME_CONSTANTS = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, np.inf)  # in blocks; inf is a ramp
 MOST_ONSETS = 60

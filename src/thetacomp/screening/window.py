@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.screening.fit import activity
 from thetacomp.screening.model import ScreeningModel
 

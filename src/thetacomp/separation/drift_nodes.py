@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Drift, Floats, Ints
+from thetacomp.arrays import Floats, Ints
+from thetacomp.campaign import Drift
 from thetacomp.separation.shares import between_nodes
 
 LOOK_S = 120.0

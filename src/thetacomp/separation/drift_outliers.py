@@ -11,9 +11,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from thetacomp.campaign import Campaign, Floats, Ints
+from thetacomp.arrays import Bools, Floats, Ints
+from thetacomp.campaign import Campaign
 from thetacomp.separation.joint import OUTLIER_SIGMA
-from thetacomp.separation.result import Bools
 
 # µm or µrad. Below it a display's last digit decides; such a reading spoils no model of a machine tool.
 LEAST_SD = 1.0

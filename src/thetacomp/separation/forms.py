@@ -9,8 +9,8 @@ import numpy as np
 
 from thetacomp.campaign import Campaign
 from thetacomp.machine import Machine
+from thetacomp.separation.component import ComponentSeparation, Form, LinearityTest
 from thetacomp.separation.joint_form import separate_joint, why_not_joint
-from thetacomp.separation.result import ComponentSeparation, Form, LinearityTest
 from thetacomp.separation.separate import separate_campaign
 
 # A bend that rests on fewer positions cannot be told from two bad points.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.interpolate import BSpline
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Floats, Ints
 
 MAX_DEGREE = 9
 SPLINE_PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 100.0)

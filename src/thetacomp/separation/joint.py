@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.separation.geometry import (
     Curve,
     choose_curve,
@@ -28,7 +28,6 @@ from thetacomp.separation.geometry import (
     direction_penalty,
     flexible_curve,
 )
-from thetacomp.separation.result import Bools
 
 # 4.5 standard deviations: in a thousand good points fewer than one in a hundred campaigns loses one.
 OUTLIER_SIGMA = 4.5

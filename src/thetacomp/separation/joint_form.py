@@ -21,14 +21,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from thetacomp.campaign import CARTESIAN, Campaign, Floats
-from thetacomp.chain import ChainAxis, arms_behind_m, chain_of, turned_um
+from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.campaign import Campaign
 from thetacomp.machine import Machine
+from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of, turned_um
+from thetacomp.separation.component import ComponentSeparation, GeometryCurve, Points
 from thetacomp.separation.drift_nodes import MIN_LOOKS, Looks, Nodes, join, looks_of, scatter
 from thetacomp.separation.drift_outliers import gross_looks, gross_note, gross_readings, least_sd
 from thetacomp.separation.joint import lever_m, state_weights
 from thetacomp.separation.reference import reference_time_s, refuse_reference_in_a_sweep
-from thetacomp.separation.result import ComponentSeparation, GeometryCurve, Points
 from thetacomp.separation.separate import separate_axis
 from thetacomp.separation.shares import AxisFit, axis_share_um, between_nodes, node_weights
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from thetacomp.campaign import Campaign, Floats
+from thetacomp.arrays import Bools, Floats
+from thetacomp.campaign import Campaign
 from thetacomp.cold_block import cold_block_length, sweep_table
 from thetacomp.errors import AnalysisError
-from thetacomp.separation.result import Bools
 
 DRIFT_WINDOW_S = 300.0
 

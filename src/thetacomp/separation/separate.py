@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder, Parameters, SweepPoints
+from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.campaign import Campaign, MachineFolder, Parameters, SweepPoints
 from thetacomp.cold_block import sweep_table
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine
+from thetacomp.separation.component import ComponentSeparation, GeometryCurve, LinearityTest, Points
 from thetacomp.separation.drift_outliers import gross_note, gross_readings, least_sd
 from thetacomp.separation.joint import ComponentData, JointFit, ShapeChange, fit_component, shape_change
 from thetacomp.separation.reference import (
@@ -19,7 +21,6 @@ from thetacomp.separation.reference import (
     reference_time_s,
     refuse_reference_in_a_sweep,
 )
-from thetacomp.separation.result import ComponentSeparation, GeometryCurve, LinearityTest, Points
 from thetacomp.separation.shares import AxisFit
 
 GRID_POINTS = 101

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
+from thetacomp.separation.component import ComponentSeparation
 from thetacomp.separation.joint import ComponentData, JointFit, rate_matrix
-from thetacomp.separation.result import ComponentSeparation
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import CARTESIAN, Campaign
+from thetacomp.arrays import CARTESIAN
+from thetacomp.campaign import Campaign
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine
 from thetacomp.standards.instrument import Instrument

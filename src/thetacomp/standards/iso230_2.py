@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Floats, Ints
 from thetacomp.errors import AnalysisError
 
 RUNS = 5

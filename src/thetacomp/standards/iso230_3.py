@@ -12,10 +12,11 @@ from typing import Literal
 
 import numpy as np
 
-from thetacomp.campaign import CARTESIAN, Campaign, Drift, Floats, SweepPoints
+from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.campaign import Campaign, Drift, SweepPoints
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis
-from thetacomp.standards.conditions import all_motion, ambient_words, other_motion, speed_words, speeds, unsettled
+from thetacomp.standards.environment import all_motion, ambient_words, other_motion, speed_words, speeds, unsettled
 from thetacomp.standards.instrument import Instrument
 
 FIRST_S = 3600.0

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from thetacomp.campaign import Campaign, Floats, MachineFolder
+from thetacomp.arrays import Floats
+from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.machine import Machine
 from thetacomp.temperature.lag import first_order_lag
-from thetacomp.temperature.result import SensorRise
+from thetacomp.temperature.rises import SensorRise
 
 NAN = float("nan")
 RATE_WINDOW_S = 900.0

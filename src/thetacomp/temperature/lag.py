@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, signal
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 
 GRID_POINTS = 2000
 SEARCH_POINTS = 25

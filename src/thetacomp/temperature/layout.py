@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from thetacomp.campaign import Floats, MachineFolder
+from thetacomp.arrays import Floats
+from thetacomp.campaign import MachineFolder
 from thetacomp.machine import Machine
 from thetacomp.temperature.field import start_degC
-from thetacomp.temperature.result import LayoutCheck
+from thetacomp.temperature.rises import LayoutCheck
 
 REDUNDANT_R = 0.99
 PAIRS_NAMED = 5

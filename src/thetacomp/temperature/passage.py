@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
-from thetacomp.temperature.history import HistoryLayout
-from thetacomp.temperature.track import HistoryTrack
+from thetacomp.arrays import Floats, Ints
+from thetacomp.model.filters import HistoryLayout
+from thetacomp.temperature.history_track import HistoryTrack
 
 # below the shortest lag of 480 s, so that no swing of it is missed
 LONGEST_STEP_S = 300.0

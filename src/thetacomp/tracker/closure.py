@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats, StationClosure
+from thetacomp.arrays import Floats
+from thetacomp.campaign import StationClosure
 from thetacomp.errors import AnalysisError
 from thetacomp.tracker.finding import Finding
 from thetacomp.tracker.foundation import FEWEST_TARGETS, Foundation, Network, Round, adjust, is_complete

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.tracker.finding import FrameError
-from thetacomp.tracker.rigid import Bools, Rigid, best_fit, design, line_direction, turned
+from thetacomp.tracker.rigid import Rigid, best_fit, design, line_direction, turned
 
 ROUND_GAP_S = 600.0
 FEWEST_TARGETS = 3

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thetacomp.campaign import CARTESIAN, Floats, Ints, SweepPoints, TrackerSettings, TrackerTie
+from thetacomp.arrays import CARTESIAN, Bools, Floats, Ints
+from thetacomp.campaign import SweepPoints, TrackerSettings, TrackerTie
 from thetacomp.cold_block import cold_block_length, sweep_table
 from thetacomp.machine import Machine
 from thetacomp.tracker.closure import (
@@ -20,7 +21,6 @@ from thetacomp.tracker.closure import (
 from thetacomp.tracker.finding import Finding, FrameError
 from thetacomp.tracker.foundation import Foundation, Network, adjust, find_rounds
 from thetacomp.tracker.rigid import (
-    Bools,
     RigidFit,
     best_fit,
     design,

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from thetacomp.campaign import Floats, TrackerSettings
-
-Bools = NDArray[np.bool_]
+from thetacomp.arrays import Bools, Floats
+from thetacomp.campaign import TrackerSettings
 
 ITERATIONS = 20
 # A direction of the tracker is never better than this, so that the weights stay finite below the zenith.

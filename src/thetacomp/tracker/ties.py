@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Floats, Ints
 from thetacomp.tracker.closure import Z_9999, chi2_quantile
 from thetacomp.tracker.finding import Finding, FrameError
 from thetacomp.tracker.foundation import Foundation, Network, Round, is_complete

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from thetacomp.models.document import Component, ModelDocument
-from thetacomp.validation.result import AcceptanceCheck, PermutationTest, ValidationRow
+from thetacomp.model.document import Component, ModelDocument
+from thetacomp.validation.rows import AcceptanceCheck, PermutationTest, ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS, NOTHING, Residuals
 
 DEFAULT = "default"

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Floats, Ints
 from thetacomp.errors import AnalysisError
-from thetacomp.models.axis_model import AnyProcedure, Predictor
+from thetacomp.fitting.key_point_law import AnyProcedure, Predictor
 from thetacomp.states import AxisStates, Samples
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from thetacomp.errors import AnalysisError
-from thetacomp.models.axis_model import Procedure, input_columns
+from thetacomp.fitting.key_point_law import Procedure, input_columns
 from thetacomp.states import AxisStates
-from thetacomp.validation.result import PermutationTest
+from thetacomp.validation.rows import PermutationTest
 
 SHUFFLES = 99
 # Beyond this many states neighbours are nearly copies; a thinned series says the same in less time.

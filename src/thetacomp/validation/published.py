@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from thetacomp.campaign import MachineFolder
-from thetacomp.models.axis_model import AxisModel
-from thetacomp.models.procedures import paper_procedure
+from thetacomp.fitting.key_point_law import AxisModel
+from thetacomp.fitting.procedures import paper_procedure
 from thetacomp.separation import separate_folder
 from thetacomp.states import AxisStates, axis_states
 

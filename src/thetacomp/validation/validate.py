@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats, Ints
+from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.errors import AnalysisError
-from thetacomp.models.axis_model import AnyProcedure, Predictor
-from thetacomp.separation.result import Bools
+from thetacomp.fitting.folds import Fold, training_states
+from thetacomp.fitting.key_point_law import AnyProcedure, Predictor
 from thetacomp.states import AxisStates, Samples
-from thetacomp.validation.folds import Fold, training_states
-from thetacomp.validation.result import HeldOutStates, ValidationRow
+from thetacomp.validation.rows import HeldOutStates, ValidationRow
 
 NOTHING = "nothing"
 ALL_CAMPAIGNS = "all"

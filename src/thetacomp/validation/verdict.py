@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thetacomp.models.document import ModelDocument
+from thetacomp.model.document import ModelDocument
 from thetacomp.validation.acceptance import DEFAULT, KEY_POINTS
-from thetacomp.validation.result import ValidationRow
+from thetacomp.validation.rows import ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from thetacomp.campaign import Floats
-from thetacomp.verification.result import STATISTICS, BeforeAfter, StateLine, Statistic
+from thetacomp.arrays import Floats
+from thetacomp.verification.findings import STATISTICS, BeforeAfter, StateLine, Statistic
 from thetacomp.verification.runs import RunPoints
 from thetacomp.verification.share import LIMITS_PERCENT, draws_for, enough_states, fit_run, repeated_runs
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from thetacomp.machine import Machine
-from thetacomp.verification.result import (
+from thetacomp.verification.findings import (
     BeforeAfter,
     Cause,
     CauseKind,

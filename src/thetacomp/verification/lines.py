@@ -7,11 +7,11 @@ from itertools import combinations
 
 import numpy as np
 
-from thetacomp.campaign import Floats
+from thetacomp.arrays import Floats
 from thetacomp.machine import Axis, Machine
 from thetacomp.separation import ComponentSeparation
-from thetacomp.separation.result import Points
-from thetacomp.verification.result import Squareness, Straightness
+from thetacomp.separation.component import Points
+from thetacomp.verification.findings import Squareness, Straightness
 
 LEAST_SQUARES, END_POINTS = "least squares", "end points"
 

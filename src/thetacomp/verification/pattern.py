@@ -10,16 +10,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thetacomp.campaign import CARTESIAN, Campaign, Floats, MachineFolder
+from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
+from thetacomp.fitting.procedures import key_point_procedure
 from thetacomp.machine import WantedLength
-from thetacomp.models.document import ModelDocument
-from thetacomp.models.procedures import key_point_procedure
-from thetacomp.prediction import predict
+from thetacomp.model.document import ModelDocument
+from thetacomp.model.prediction import predict
+from thetacomp.model.volumetric import predict_volume
 from thetacomp.separation import ComponentSeparation
 from thetacomp.states import AxisStates
-from thetacomp.temperature.track import unbroken
-from thetacomp.volumetric import predict_volume
+from thetacomp.temperature.history_track import unbroken
 
 Expected = tuple[Floats, Floats]
 

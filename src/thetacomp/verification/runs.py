@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thetacomp.campaign import Campaign, Floats, Ints, MachineFolder
+from thetacomp.arrays import Floats, Ints
+from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.separation import ComponentSeparation
 from thetacomp.states import AxisStates
-from thetacomp.verification.result import RunFacts
+from thetacomp.verification.findings import RunFacts
 
 
 @dataclass(frozen=True)

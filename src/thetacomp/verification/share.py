@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.campaign import Floats
-from thetacomp.verification.result import Share, ShareKind
+from thetacomp.arrays import Floats
+from thetacomp.verification.findings import Share, ShareKind
 from thetacomp.verification.runs import RunPoints
 
 DRAWS = 1000

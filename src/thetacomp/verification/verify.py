@@ -9,15 +9,15 @@ import numpy as np
 
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
-from thetacomp.models.document import ModelDocument
+from thetacomp.model.document import ModelDocument
 from thetacomp.separation import ComponentSeparation, separate_campaign
 from thetacomp.states import axis_states
 from thetacomp.verification.before_after import before_after, over_points, over_states, state_line
 from thetacomp.verification.diagnosis import causes, checks, remarks
+from thetacomp.verification.findings import HarmMap, Share, StateLine, Verification
 from thetacomp.verification.harm import harm_map
 from thetacomp.verification.lines import squareness, straightness
 from thetacomp.verification.pattern import fitted_pattern, model_pattern
-from thetacomp.verification.result import HarmMap, Share, StateLine, Verification
 from thetacomp.verification.runs import RunPoints, chosen, facts, run_points, without_expectation, zero_scatter
 from thetacomp.verification.share import shares
 

@@ -1,0 +1,148 @@
+"""The heat-history model as it is stored and used: fitted, with its border, its prior and its 95 % bands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from thetacomp.arrays import Bools, Floats
+from thetacomp.errors import AnalysisError
+from thetacomp.fitting.border import calibrate_validity
+from thetacomp.fitting.conformal import HeldOut, calibrate_band, held_out_leverage, training_reach
+from thetacomp.fitting.history_model import HistoryModel, history_procedure
+from thetacomp.fitting.prior import fit_prior
+from thetacomp.model.document import HistoryAxis, HistoryComponent, HistoryReference
+from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.history_law import HistoryLaw, HistoryMoments
+from thetacomp.states import AxisStates, Samples, curve_um
+
+
+@dataclass(frozen=True)
+class CalibratedHistory:
+    """The stored form of a heat-history model as a Predictor: what validation judges is what the machine gets.
+
+    `left_out_um` holds for every component its samples (n,) as predicted by the models that left out their campaign,
+    NaN where an input is missing.
+    """
+
+    document: HistoryAxis
+    left_out_um: Mapping[str, Floats]
+
+    @property
+    def components(self) -> Mapping[str, HistoryComponent]:
+        """The components of the document."""
+        return self.document.components
+
+    def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
+        """Thermal error of samples in µm and the half width of its 95 % band, both (n,)."""
+        law = HistoryLaw(self.document, _moments(self.document.layout, states, samples))
+        return law.error_um(component, samples.lever_m), law.half_width_um(component)
+
+
+def calibrated_history(states: AxisStates) -> CalibratedHistory:
+    """Fit, and calibrate border, prior and bands on the same training campaigns, each held out in turn.
+
+    Raises AnalysisError as `history_procedure` does, and where the states carry no samples to calibrate on.
+    """
+    model = history_procedure(states)
+    layout = model.layout
+    known = np.isfinite(states.history).all(axis=1)
+    moved, campaign = states.history[known], states.campaign[known]
+    temperature_degC = _sensor_columns(layout, states, states.rise_K + states.reference_degC)[known]
+    reach = training_reach(moved, campaign)
+    drift = states.is_drift
+    document = HistoryAxis(
+        axis=None if drift else states.axis,
+        p0_mm=None if drift else states.p0_mm,
+        p_min_mm=None if drift else states.p_min_mm,
+        p_max_mm=None if drift else states.p_max_mm,
+        layout=layout,
+        reference=HistoryReference(
+            campaign=states.campaigns[int(states.campaign[0])],
+            t_s=float(states.reference_s[0]),
+            inputs=_plain(states.reference_history[0]),
+        ),
+        reach=reach,
+        validity=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.passage),
+        components={},
+        campaigns=len(np.unique(campaign)),
+        candidates=len(model.ridge.candidates),
+    )
+    left_out_um = {name: _left_out_um(states, model, k) for k, name in enumerate(states.components)}
+    components = {name: _component(states, model, k, left_out_um[name]) for k, name in enumerate(states.components)}
+    return CalibratedHistory(document.model_copy(update={"components": components}), left_out_um)
+
+
+def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Floats) -> HistoryComponent:
+    name, count = states.components[k], len(states.components)
+    rise_K = states.history[:, : len(model.layout.sensors)]
+    intercept_prior = _prior(model.layout, rise_K, states.intercept_um[:, k], states)
+    slope = slope_prior = bend = bend_prior = None
+    if not states.is_drift:
+        slope = _plain(model.ridge.coef_[count + k])
+        slope_prior = _prior(model.layout, rise_K, states.slope_um_per_m[:, k], states)
+    if np.any(np.nan_to_num(states.bend_um_per_m2[:, k])):
+        bend = _plain(model.ridge.coef_[2 * count + k])
+        bend_prior = _prior(model.layout, rise_K, states.bend_um_per_m2[:, k], states)
+    samples = states.samples[k]
+    samples = samples.take(_complete(samples))
+    in_sample_um = samples.value_um - model.predict(name, states, samples)[0]
+    return HistoryComponent.model_validate(
+        {
+            "direction": name[1],
+            "intercept_um": _plain(model.ridge.coef_[k]),
+            "slope_um_per_m": slope,
+            "bend_um_per_m2": bend,
+            "prior_intercept_um_per_K": intercept_prior,
+            "prior_slope_um_per_m_per_K": slope_prior,
+            "prior_bend_um_per_m2_per_K": bend_prior,
+            "band": calibrate_band(_held_out(states, k, left_out_um)),
+            "residual_um": (float(np.sqrt(np.mean(in_sample_um**2))), float(np.abs(in_sample_um).max())),
+            "noise_sd_um": float(np.sqrt(np.mean(samples.noise_sd_um**2))),
+        }
+    )
+
+
+def _left_out_um(states: AxisStates, model: HistoryModel, k: int) -> Floats:
+    """Samples of one component (n,) as predicted by the models that left out their campaign."""
+    samples = states.samples[k]
+    campaign = np.searchsorted(model.ridge.groups_, states.campaign[samples.state])
+    coefficients = model.ridge.left_out_coef_[np.minimum(campaign, len(model.ridge.groups_) - 1)]
+    parameters: Floats = np.einsum("ij,imj->im", samples.history, coefficients)
+    return curve_um(parameters, k, len(states.components), samples.lever_m)
+
+
+def _held_out(states: AxisStates, k: int, left_out_um: Floats) -> HeldOut:
+    """What a band is calibrated on: samples of heated states whose inputs are all there."""
+    samples = states.samples[k]
+    judged = _complete(samples)
+    if states.exact_zero:
+        judged = judged & ~states.cold[samples.state]
+    if not judged.any():
+        raise AnalysisError(f"{states.components[k]}: no sample of a heated state to calibrate a band on.")
+    own = samples.take(judged)
+    campaign = states.campaign[own.state]
+    return HeldOut(own.value_um - left_out_um[judged], held_out_leverage(own.history, campaign), campaign)
+
+
+def _prior(layout: HistoryLayout, rise_K: Floats, target: Floats, states: AxisStates) -> tuple[float, ...]:
+    return fit_prior(layout.sensors, rise_K, target, states.campaign).coefficients_um_per_K
+
+
+def _moments(layout: HistoryLayout, states: AxisStates, samples: Samples) -> HistoryMoments:
+    absolute_degC = samples.rise_K + states.reference_degC[samples.state]
+    return HistoryMoments(samples.history, _sensor_columns(layout, states, absolute_degC))
+
+
+def _sensor_columns(layout: HistoryLayout, states: AxisStates, values: Floats) -> Floats:
+    return values[:, [states.sensors.index(name) for name in layout.sensors]]
+
+
+def _complete(samples: Samples) -> Bools:
+    return np.asarray(np.isfinite(samples.history).all(axis=1))
+
+
+def _plain(values: Floats) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -1,0 +1,39 @@
+"""Beyond the border of validity: the prediction fades towards a prior, with no jump and a bounded rate. Numpy only.
+
+The prior is a simple physical law (`models.prior`), which is plausible everywhere and precise nowhere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thetacomp.arrays import Floats
+
+# a full fade takes at least ten minutes: slow for a machine, fast against its time constants
+FADE_PER_S = 1.0 / 600.0
+# Heat deforms a machine nearly in proportion: twice what training showed is still believed, though it is flagged.
+FADE_START = 2.0
+
+
+def model_weight(distance: Floats) -> Floats:
+    """Weight of the model (n,) at distances (n,): 1 up to FADE_START, then FADE_START / distance.
+
+    A model linear in its inputs then sees them drawn back along the ray from the reference, and the prior answers for
+    the rest: what the model says stays bounded however far the inputs go.
+    """
+    weight: Floats = FADE_START / np.maximum(distance, FADE_START)
+    return weight
+
+
+def faded_um(model_um: Floats, prior_um: Floats, weight: Floats) -> Floats:
+    """`weight × model + (1 - weight) × prior`, (n,), continuous in all three."""
+    return weight * model_um + (1.0 - weight) * prior_um
+
+
+def step_weight(weight: float, wanted: float, dt_s: float, per_s: float = FADE_PER_S) -> float:
+    """The weight one sample of `dt_s` later: on its way to `wanted`, by at most `per_s × dt_s`.
+
+    The part of the output that comes from fading thus never moves faster than `per_s × |model - prior|`.
+    """
+    most = per_s * dt_s
+    return weight + min(max(wanted - weight, -most), most)

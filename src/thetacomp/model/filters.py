@@ -1,0 +1,247 @@
+"""Heat history: first-order lags of temperatures and speed, and the inputs that a model builds from them.
+
+A lag with time constant τ follows its input u as `τ dx/dt = u - x`. The input is held between samples, so the exact
+solution is a recursion with one stored number a filter, which a PLC can run:
+
+    a = exp(-dt / τ)
+    x = a x + (1 - a) u_previous
+
+`0 < a < 1` for every dt, so the filter is stable whatever the sampling. Setting the datum anew does not touch it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from thetacomp.arrays import Floats
+from thetacomp.errors import AnalysisError
+from thetacomp.machine import Strict
+from thetacomp.model.temperatures import Duty, Temperatures
+
+# exp(30) keeps 13 decimal places of headroom in the closed form over one stretch of samples
+_LONGEST_STRETCH = 30.0
+
+SPEED = "spindle_rpm"
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """What the filters remember: enough to go on after a pause, apart from any datum.
+
+    `signal` (signals,) is the last good input, held until the next one; `lag` (time constants, signals) the filters'
+    outputs at `t_s`; NaN for a signal that never had a good value.
+    """
+
+    t_s: float
+    signal: Floats
+    lag: Floats
+
+    def to_dict(self) -> dict[str, Any]:
+        """The state as JSON-able numbers; a missing value is null."""
+
+        def plain(values: Floats) -> list[float | None]:
+            return [float(value) if np.isfinite(value) else None for value in values]
+
+        return {
+            "t_s": self.t_s,
+            "signal": plain(self.signal),
+            "lag": [plain(row) for row in self.lag],
+        }
+
+    @classmethod
+    def from_dict(cls, raw: Mapping[str, Any]) -> FilterState:
+        """The inverse of `to_dict`."""
+        return cls(
+            t_s=float(raw["t_s"]),
+            signal=np.array(raw["signal"], dtype=np.float64),
+            lag=np.array(raw["lag"], dtype=np.float64),
+        )
+
+
+def start_filters(t_s: float, signal: Floats, time_constants_s: tuple[float, ...]) -> FilterState:
+    """Filters at rest on the first values: every lag equals its input."""
+    signal = np.asarray(signal, dtype=np.float64)
+    return FilterState(t_s=t_s, signal=signal, lag=np.tile(signal, (len(time_constants_s), 1)))
+
+
+def step_filters(state: FilterState, t_s: float, signal: Floats, time_constants_s: tuple[float, ...]) -> FilterState:
+    """One sample later: the recursion of the module's head, as a PLC runs it.
+
+    `signal` (signals,); a NaN leaves the last good value standing. Raises AnalysisError where time runs backward.
+    """
+    dt_s = t_s - state.t_s
+    if dt_s < 0:
+        raise AnalysisError(f"the sample at {t_s:g} s comes before the one at {state.t_s:g} s: sort samples by time.")
+    signal = np.asarray(signal, dtype=np.float64)
+    keep = np.exp(-dt_s / np.asarray(time_constants_s))[:, None]
+    lag = keep * state.lag + (1.0 - keep) * state.signal
+    first = np.isnan(state.signal) & np.isfinite(signal)
+    lag[:, first] = signal[first]
+    return FilterState(t_s=t_s, signal=np.where(np.isfinite(signal), signal, state.signal), lag=lag)
+
+
+def run_filters(
+    t_s: Floats, signal: Floats, time_constants_s: tuple[float, ...], state: FilterState | None = None
+) -> tuple[Floats, FilterState]:
+    """The recursion over many samples at once: lags (n, time constants, signals) and the state after the last.
+
+    `t_s` (n,) ascending, any spacing; `signal` (n, signals), NaN where missing (the last good value is held).
+    Goes on from `state`, or starts at rest on the first good values. Equals `step_filters` to rounding.
+    Raises AnalysisError for no samples or time that runs backward.
+    """
+    t_s = np.asarray(t_s, dtype=np.float64)
+    signal = np.asarray(signal, dtype=np.float64)
+    if len(t_s) == 0:
+        raise AnalysisError("no samples: heat history needs at least one.")
+    if state is None:
+        state = start_filters(float(t_s[0]), signal[0], time_constants_s)
+    all_t_s = np.concatenate([[state.t_s], t_s])
+    if np.any(np.diff(all_t_s) < 0):
+        row = int(np.flatnonzero(np.diff(all_t_s) < 0)[0])
+        raise AnalysisError(f"time runs backward at sample {row} ({t_s[row]:g} s): sort samples by time.")
+    held, first = _hold(np.vstack([state.signal, signal]))
+    lags = np.empty((len(t_s), len(time_constants_s), signal.shape[1]))
+    for k, time_constant_s in enumerate(time_constants_s):
+        start = np.where(np.isnan(state.lag[k]), held[0], state.lag[k])
+        lags[:, k, :] = _lag(all_t_s / time_constant_s, held, start)
+    unknown = np.arange(1, len(t_s) + 1)[:, None] < first
+    lags[np.broadcast_to(unknown[:, None, :], lags.shape)] = np.nan
+    last = np.where(first > len(t_s), np.nan, held[-1])
+    return lags, FilterState(t_s=float(t_s[-1]), signal=last, lag=lags[-1].copy())
+
+
+def _hold(signal: Floats) -> tuple[Floats, Floats]:
+    """Missing values replaced by the last good one (before the first: by the first), and the first good row."""
+    good = np.isfinite(signal)
+    rows = np.arange(len(signal))[:, None]
+    first = np.where(good.any(axis=0), good.argmax(axis=0), len(signal))
+    source = np.maximum.accumulate(np.where(good, rows, 0), axis=0)
+    source = np.maximum(source, np.minimum(first, len(signal) - 1))
+    held = np.take_along_axis(signal, source, axis=0)
+    return np.nan_to_num(held), first
+
+
+def _lag(time: Floats, held: Floats, start: Floats) -> Floats:
+    """Lag (n - 1, signals) of inputs held from each of n times (in time constants) to the next.
+
+    In a stretch of at most _LONGEST_STRETCH time constants the recursion has the closed form
+    `x_k = exp(-s_k) (x_0 + Σ_{i<=k} (1 - a_i) u_{i-1} exp(s_i))`, a cumulative sum.
+    """
+    out = np.empty((len(time) - 1, held.shape[1]))
+    value, at = start, 0
+    while at < len(out):
+        end = int(np.searchsorted(time, time[at] + _LONGEST_STRETCH, side="right")) - 1
+        end = max(end, at + 1)
+        gain = -np.expm1(-np.diff(time[at : end + 1]))
+        if end == at + 1:
+            value = value + gain[0] * (held[at] - value)
+            out[at] = value
+        else:
+            growth = np.exp(time[at + 1 : end + 1] - time[at])
+            moved = np.cumsum((gain * growth)[:, None] * (held[at:end] - value), axis=0) / growth[:, None]
+            out[at:end] = value + moved
+            value = out[end - 1]
+        at = end
+    return out
+
+
+class HistoryLayout(Strict):
+    """Which inputs a model with heat history has, in which order.
+
+    `sensors` name the temperatures. `time_constants_s` are the lags. `speed_powers` are the powers of the spindle
+    speed that drive lags (none: speed is not used). `base_degC` is the mean temperature from which the mean rise
+    counts in products; it is a constant of the model, not a datum.
+    """
+
+    sensors: tuple[str, ...] = Field(min_length=1)
+    time_constants_s: tuple[float, ...] = (480.0, 900.0, 1800.0, 3600.0, 7200.0, 14400.0, 28800.0)
+    speed_powers: tuple[int, ...] = (1, 2)
+    base_degC: float
+
+    @field_validator("time_constants_s")
+    @classmethod
+    def _positive_and_apart(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if not all(tau_s > 0 for tau_s in value) or len(set(value)) != len(value):
+            raise ValueError(f"time constants must be above zero and differ, found {value}")
+        return value
+
+    def signals(self, temperature_degC: Floats, speed_rpm: Floats | None = None) -> Floats:
+        """What the filters are fed with: temperatures, then powers of the speed in 1000 rpm; (n, signals)."""
+        temperature_degC = np.asarray(temperature_degC, dtype=np.float64)
+        if temperature_degC.shape[1] != len(self.sensors):
+            raise AnalysisError(f"{temperature_degC.shape[1]} temperatures found, {len(self.sensors)} expected.")
+        if not self.speed_powers:
+            return temperature_degC
+        if speed_rpm is None:
+            raise AnalysisError("this model needs the spindle speed. Fix: give spindle_rpm in duty.csv.")
+        speed = np.abs(np.asarray(speed_rpm, dtype=np.float64)) / 1000.0
+        return np.column_stack([temperature_degC, *(speed**power for power in self.speed_powers)])
+
+    @property
+    def blocks(self) -> dict[str, tuple[str, ...]]:
+        """Names of the inputs, block by block, in the order of the columns of `inputs`."""
+        out: dict[str, tuple[str, ...]] = {"temperature": self.sensors}
+        for tau_s in self.time_constants_s:
+            out[f"difference {tau_s:g} s"] = tuple(f"{name} - lag {tau_s:g} s" for name in self.sensors)
+        for power in self.speed_powers:
+            for tau_s in self.time_constants_s:
+                out[f"speed^{power} {tau_s:g} s"] = (f"speed^{power} lag {tau_s:g} s",)
+        for power in self.speed_powers:
+            for tau_s in self.time_constants_s:
+                out[f"speed^{power} x rise {tau_s:g} s"] = (f"speed^{power} lag {tau_s:g} s x mean rise",)
+        return out
+
+    def inputs(self, signals: Floats, lags: Floats) -> Floats:
+        """All inputs (n, inputs) from signals (n, signals) and their lags (n, time constants, signals).
+
+        A filter keeps running when the datum is set anew: what counts from a datum is the difference of two rows.
+        """
+        p = len(self.sensors)
+        temperature = signals[:, :p]
+        rise_K = temperature.mean(axis=1, keepdims=True) - self.base_degC
+        speed = lags[:, :, p:].transpose(0, 2, 1).reshape(len(signals), -1)
+        differences = (temperature[:, None, :] - lags[:, :, :p]).reshape(len(signals), -1)
+        return np.hstack([temperature, differences, speed, speed * rise_K])
+
+
+def history_inputs(
+    layout: HistoryLayout, t_s: Floats, temperature_degC: Floats, speed_rpm: Floats | None = None
+) -> Floats:
+    """Inputs (n, inputs) of one unbroken recording, with filters that start at rest on its first row."""
+    signals = layout.signals(temperature_degC, speed_rpm)
+    lags, _ = run_filters(t_s, signals, layout.time_constants_s)
+    return layout.inputs(signals, lags)
+
+
+def recorded_inputs(layout: HistoryLayout, parts: Sequence[tuple[Temperatures, Duty | None]]) -> tuple[Floats, Floats]:
+    """Times (n,) and inputs (n, k) of an unbroken recording in one or more parts, with filters at rest at its start.
+
+    Raises AnalysisError where the layout has speeds and no part has a duty table.
+    """
+    if layout.speed_powers and all(duty is None or SPEED not in duty.columns for _, duty in parts):
+        raise AnalysisError(
+            f"this model needs the spindle speed, and there is no {SPEED}."
+            " Fix: give a duty table with t_s and spindle_rpm."
+        )
+    t_s = np.concatenate([table.t_s for table, _ in parts])
+    degC = np.vstack([_of_sensors(table, layout.sensors) for table, _ in parts])
+    speed_rpm = np.concatenate([_speed_rpm(duty, table.t_s) for table, duty in parts]) if layout.speed_powers else None
+    return t_s, history_inputs(layout, t_s, degC, speed_rpm)
+
+
+def _speed_rpm(duty: Duty | None, t_s: Floats) -> Floats:
+    """Spindle speed at the times of the temperatures: it holds until the next entry of the duty table."""
+    if duty is None or SPEED not in duty.columns:
+        return np.zeros(len(t_s))
+    rows = np.clip(np.searchsorted(duty.t_s, t_s, side="right") - 1, 0, None)
+    return np.nan_to_num(duty.columns[SPEED][rows])
+
+
+def _of_sensors(table: Temperatures, sensors: Sequence[str]) -> Floats:
+    """Samples of the named sensors, gaps bridged, (n, sensors)."""
+    return np.asarray(table.at(table.t_s)[:, [table.sensor_ids.index(name) for name in sensors]])

@@ -1,0 +1,168 @@
+"""The law of one error: values, 95 % interval, domain, and the t quantile without scipy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from small_models import component, document, term
+
+from thetacomp.errors import ModelFileError
+from thetacomp.model.document import LinearTerm, ModelDocument
+from thetacomp.model.domain import in_domain, largest, training_box_degC
+from thetacomp.model.law import Law, laws
+from thetacomp.model.student import t_quantile
+
+
+def one_error(**overrides: object) -> ModelDocument:
+    reference = {"a": 20.0, "b": 22.0}
+    exy = component("EXY", term(3.0, 10.0, -2.0), term(1.0, 4.0, 0.5), reference, p=(500.0, 0.0, 2000.0))
+    return document(
+        {"X": "+X", "Y": "+Y"},
+        {"EXY": exy.model_copy(update=overrides)},
+        {"a": (0.0, 10.0), "b": (-1.0, 4.0)},
+    )
+
+
+@pytest.mark.parametrize("dof", [*range(1, 31), 50, 100, 1000, 10**6])
+@pytest.mark.parametrize("probability", [0.95, 0.975, 0.995])
+def test_t_quantile_against_scipy(dof: int, probability: float) -> None:
+    assert t_quantile(probability, dof) == pytest.approx(stats.t.ppf(probability, dof), rel=1e-4)
+
+
+def test_t_quantile_without_degrees_of_freedom_is_infinite() -> None:
+    assert math.isinf(t_quantile(0.975, 0))
+
+
+def test_line_and_error_by_hand() -> None:
+    model = one_error()
+    theta = np.array([[20.0, 22.0], [23.0, 21.0]])
+    law = laws(model)["EXY"]
+    intercept_um, slope_um_per_m = law.line(law.rises_K(theta))
+    # Rises (0, 0) and (3, -1): I = 3 + 10*3 + 2 = 35, S = 1 + 12 - 0.5 = 12.5; at p = 1500, (p - P0) = 1 m.
+    assert intercept_um == pytest.approx([3.0, 35.0])
+    assert slope_um_per_m == pytest.approx([1.0, 12.5])
+    assert law.error_um(law.rises_K(theta), np.array([1500.0, 1500.0])) == pytest.approx([4.0, 47.5])
+
+
+def test_another_reference_drops_the_constant() -> None:
+    law = laws(one_error(), {"a": 23.0, "b": 21.0})["EXY"]
+    theta = np.array([[23.0, 21.0], [24.0, 21.0]])
+    # Exactly zero at the reference; one kelvin of `a` is 10 µm and 4 µm/m.
+    assert law.error_um(law.rises_K(theta), np.array([1500.0, 1500.0])).tolist() == [0.0, 14.0]
+
+
+def least_squares(states: int, seed: int) -> tuple[LinearTerm, LinearTerm, float, np.ndarray, np.ndarray]:
+    """Two terms fitted by least squares on the same states, as the analysis stores them, and the truth's errors."""
+    rng = np.random.default_rng(seed)
+    rises_K = rng.uniform(0, 10, states)
+    noise = rng.multivariate_normal([0, 0], [[9.0, 2.4], [2.4, 1.0]], size=states)
+    y = np.column_stack([2 + 5 * rises_K, 1 + 3 * rises_K]) + noise
+    x = np.column_stack([np.ones(states), rises_K])
+    inverse = np.linalg.inv(x.T @ x)
+    beta = inverse @ x.T @ y
+    residual = y - x @ beta
+    variance = residual.T @ residual / (states - 2)
+    made = [
+        LinearTerm(
+            constant=beta[0, k],
+            coefficients_per_K=(beta[1, k],),
+            covariance=tuple(map(tuple, inverse * variance[k, k])),
+            residual_sd=math.sqrt(variance[k, k]),
+            r_squared=1.0,
+        )
+        for k in (0, 1)
+    ]
+    rho = variance[0, 1] / math.sqrt(variance[0, 0] * variance[1, 1])
+    return made[0], made[1], rho, rng.uniform(0, 10, 2), rng.multivariate_normal([0, 0], [[9.0, 2.4], [2.4, 1.0]], 2)
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_interval_covers_95_percent_of_new_states(kept: bool) -> None:
+    """New states from the known law and noise, at 1.7 m from P0; 2000 random fits of 8 states.
+
+    With the constant the new state is compared; without it, the difference of two new states (this one and the
+    reference). 95 % of 2000 has a standard error of 0.5 %.
+    """
+    inside = 0
+    for seed in range(2000):
+        intercept, slope, rho, rises_K, noise = least_squares(8, seed)
+        one = component("EXX", intercept, slope, {"a": 0.0}, p=(0.0, 0.0, 2000.0), correlation=rho, dof=6)
+        reference = np.array([0.0 if kept else rises_K[1]])
+        law = Law("EXX", one, reference, keeps_constant=kept)
+        theta, p = np.array([[rises_K[0]]]), np.array([1700.0])
+        truth = (np.array([2.0, 1.0]) + np.outer(rises_K, [5.0, 3.0]) + noise) @ np.array([1.0, 1.7])
+        wanted = truth[0] if kept else truth[0] - truth[1]
+        half_um = law.half_width_um(law.rises_K(theta), p)[0]
+        inside += abs(law.error_um(law.rises_K(theta), p)[0] - wanted) <= half_um
+    assert inside / 2000 == pytest.approx(0.95, abs=0.015)
+
+
+def test_interval_without_degrees_of_freedom_is_infinite() -> None:
+    law = laws(one_error(dof=0, intercept=term(0.0, 1.0, 1.0, sd=1.0)))["EXY"]
+    assert np.isinf(law.half_width_um(np.zeros((1, 2)), np.array([0.0]))).all()
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "p", "inside"),
+    [
+        (25.0, 22.0, 1000.0, True),
+        (30.49, 22.0, 1000.0, True),  # 5 % of a span of 10 K is 0.5 K
+        (30.51, 22.0, 1000.0, False),
+        (19.49, 22.0, 1000.0, False),
+        (25.0, 26.26, 1000.0, False),
+        (25.0, 22.0, -1.0, True),
+        (25.0, 22.0, -1.01, False),
+        (25.0, 22.0, 2001.01, False),
+        (float("nan"), 22.0, 1000.0, False),
+    ],
+)
+def test_domain(a: float, b: float, p: float, inside: bool) -> None:
+    model = one_error()
+    theta = np.array([[a, b]])
+    assert in_domain(laws(model)["EXY"], model.training, theta, np.array([p])).tolist() == [inside]
+
+
+def test_rise_counts_for_the_domain_only_where_the_datum_is_the_campaign() -> None:
+    model = one_error()
+    training = model.training
+    theta, p = np.array([[24.0, 22.0]]), np.array([0.0])
+    warm_start = laws(model, {"a": 26.0, "b": 22.0})["EXY"]  # 24 °C is in range, a rise of -2 K is not
+    assert not in_domain(warm_start, training, theta, p)[0]
+    assert in_domain(warm_start, training.model_copy(update={"datum": "common"}), theta, p)[0]
+
+
+def test_largest_value_is_at_a_corner_of_the_training_box() -> None:
+    model = one_error(slope=term(1.0, 4.0, -0.5, sd=2.0), dof=4)
+    law = laws(model)["EXY"]
+    box = training_box_degC([law], model.training)
+    assert box == {"a": (20.0, 30.0), "b": (21.0, 26.0)}
+    # a = +10 K, b = -1 K: 1 + 40 + 0.5, and 2 times the quantile of t for 4 degrees of freedom.
+    assert largest(law, law.slope, box) == pytest.approx(41.5 + 2 * stats.t.ppf(0.975, 4), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"intercept": term(0.0, 1.0)}, "intercept has 1 coefficients for 2 inputs"),
+        ({"inputs": ("a", "c")}, "no reference temperature for c"),
+        ({"p0_mm": None}, "an axis without a slope, P0"),
+        ({"axis": "V"}, "the axis V is not among"),
+    ],
+)
+def test_document_that_contradicts_itself_is_refused(overrides: dict[str, object], words: str) -> None:
+    with pytest.raises(ModelFileError, match=words):
+        laws(one_error(**overrides))
+
+
+def test_a_fit_through_zero_has_one_residual_not_two() -> None:
+    """Closed form: no constant, no covariance, residual standard deviation 2 µm: half width t(0.975, 8) * 2 µm."""
+    free = component("DX", term(0.0, 3.0, sd=2.0), None, {"t1": 20.0})
+    zero = free.model_copy(update={"through_zero": True})
+    rises, position = np.array([[4.0]]), np.zeros(1)
+    for c, states in ((free, 2.0), (zero, 1.0)):
+        law = Law("DX", c, np.array([20.0]), keeps_constant=False)
+        expected = stats.t.ppf(0.975, 8) * 2.0 * np.sqrt(states)
+        assert law.half_width_um(rises, position) == pytest.approx([expected], rel=1e-4)

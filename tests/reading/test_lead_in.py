@@ -1,0 +1,77 @@
+"""Rows at negative times are what the loggers recorded before the campaign: history for filters, no part of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thetacomp.campaign import Campaign, CampaignSettings, Drift
+from thetacomp.model.filters import HistoryLayout, history_inputs
+from thetacomp.model.temperatures import Duty, Temperatures
+from thetacomp.reading.lead_in import with_lead_in
+from thetacomp.temperature.history_track import history_track, unbroken
+
+
+def campaign(t_s: np.ndarray, duty_s: np.ndarray | None = None, **changes: object) -> Campaign:
+    heat = Temperatures(t_s, ("a", "b"), np.column_stack([20.0 + t_s / 1e4, 21.0 - t_s / 2e4]))
+    duty = None if duty_s is None else Duty(duty_s, {"spindle_rpm": 1000.0 + duty_s / 10.0})
+    return replace(Campaign("c", CampaignSettings(), heat, duty=duty), **changes)  # type: ignore[arg-type]
+
+
+def test_rows_before_zero_become_the_lead_in() -> None:
+    read = with_lead_in(campaign(np.arange(-7200.0, 7201.0, 600.0), np.arange(-7200.0, 7201.0, 300.0)))
+    assert read.temperatures.t_s.tolist() == np.arange(0.0, 7201.0, 600.0).tolist()
+    assert read.duty is not None
+    assert read.duty.t_s[0] == 0.0
+    assert read.before is not None
+    assert read.before.duty is not None
+    assert read.before.temperatures.t_s.tolist() == np.arange(-7200.0, 0.0, 600.0).tolist()
+    assert read.before.duty.columns["spindle_rpm"][-1] == pytest.approx(970.0)  # the entry at -300 s
+
+
+def test_the_last_sample_up_to_the_start_stays_with_the_campaign() -> None:
+    """Samples at -100 s and 500 s: the first points, at 0 s, lie between them."""
+    read = with_lead_in(campaign(np.arange(-6700.0, 7200.0, 600.0), np.array([-6000.0, -400.0, 900.0])))
+    assert read.temperatures.t_s[0] == -100.0
+    assert read.temperatures.at(np.array([0.0]))[0, 0] == pytest.approx(20.0)
+    assert read.duty is not None
+    assert read.duty.t_s.tolist() == [-400.0, 900.0]  # the entry that holds at the start
+
+
+@pytest.mark.parametrize("what", ["drift", "reference"])
+def test_a_campaign_that_measures_at_negative_times_starts_there(what: str) -> None:
+    t_s = np.arange(-7200.0, 7201.0, 600.0)
+    drift = Drift(np.array([-1800.0, 3600.0]), np.zeros((2, 3)))
+    changed = {"drift": drift} if what == "drift" else {"settings": CampaignSettings(reference_s=-1800.0)}
+    read = with_lead_in(campaign(t_s, **changed))
+    assert read.temperatures.t_s[0] == -1800.0
+
+
+@pytest.mark.parametrize("t_s", [np.arange(0.0, 7201.0, 600.0), np.arange(-7200.0, 0.0, 600.0)])
+def test_without_rows_on_both_sides_nothing_is_parted(t_s: np.ndarray) -> None:
+    whole = campaign(t_s, t_s)
+    assert with_lead_in(whole) is whole
+
+
+@pytest.mark.parametrize("logged", [True, False])
+def test_filters_run_through_lead_in_and_campaign_as_one_recording(logged: bool) -> None:
+    """Parting changes no input of a model; with `unbroken` a prediction sees what the training saw."""
+    t_s = np.arange(-7200.0, 7201.0, 600.0)
+    read = with_lead_in(campaign(t_s, t_s if logged else t_s[t_s >= 0]))
+    layout = HistoryLayout(sensors=("a", "b"), time_constants_s=(3600.0,), base_degC=20.0)
+    heat, duty = unbroken(read)
+    assert heat.t_s.tolist() == t_s.tolist()
+    assert duty is not None
+    row = np.searchsorted(duty.t_s, t_s, side="right") - 1
+    speed = duty.columns["spindle_rpm"][row]
+    if not logged:
+        assert not speed[t_s < 0].any()
+    expected = history_inputs(layout, t_s, heat.value_degC, speed)[t_s >= 0]
+    np.testing.assert_allclose(history_track(read, layout, np.zeros(1)).inputs, expected, rtol=1e-12)
+
+
+def test_a_campaign_without_lead_in_is_one_recording_already() -> None:
+    whole = campaign(np.arange(0.0, 7201.0, 600.0))
+    assert unbroken(whole) == (whole.temperatures, None)

@@ -1,0 +1,191 @@
+"""Held labels: a displacement frozen while the machine stands is left out; a quiet machine and noise-free tables stay.
+
+The frozen stretches are put in, so the expected rows are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known_machine import MACHINE, measured_campaign
+from screening_folder import HOUR_S, folder, standing
+
+from thetacomp.arrays import Floats
+from thetacomp.campaign import Campaign, CampaignSettings, Drift, SweepPoints
+from thetacomp.model.temperatures import Duty, Temperatures
+from thetacomp.screening.labels import labels_note, without_held_labels
+from thetacomp.separation import separate_campaign
+
+DATA = "caiviac_fl_thermal/data.xlsx"
+BEGIN, END = 30, 66  # rows of the drift record, five minutes apart: 2.5 to 5.5 h
+
+
+def cooling(moves_K: float = 8.0, noise_um: float = 0.3, resolution_um: float = 0.0) -> Campaign:
+    """A machine that runs, stands for three hours while it cools by `moves_K`, and runs again; probe read all along."""
+    rng = np.random.default_rng(1)
+    t_s = 300.0 * np.arange(100)
+    cold = np.where((t_s >= t_s[BEGIN]) & (t_s < t_s[END]), 1.0 - np.exp(-(t_s - t_s[BEGIN]) / HOUR_S), 0.0)
+    temperatures = Temperatures(t_s, ("t1",), 30.0 - moves_K * cold[:, None])
+    moved_um = 5.0 * (temperatures.value_degC - 30.0) + rng.normal(0.0, noise_um, (100, 3))
+    if resolution_um:
+        moved_um = np.round(moved_um / resolution_um) * resolution_um
+    return Campaign(
+        "c", CampaignSettings(), temperatures, drift=Drift(t_s, moved_um), duty=standing(t_s[BEGIN], t_s[END])
+    )
+
+
+def frozen(campaign: Campaign, begin: int = BEGIN, end: int = END, columns: tuple[int, ...] = (0,)) -> Campaign:
+    assert campaign.drift is not None
+    error_um = campaign.drift.error_um.copy()
+    error_um[begin:end, columns] = error_um[begin, columns]
+    return replace(campaign, drift=replace(campaign.drift, error_um=error_um))
+
+
+def drift_um(campaign: Campaign) -> Floats:
+    assert campaign.drift is not None
+    return campaign.drift.error_um
+
+
+def test_a_displacement_frozen_while_the_machine_cools_is_left_out_and_counted() -> None:
+    out, (entry,) = without_held_labels(frozen(cooling()))
+    assert np.flatnonzero(np.isnan(drift_um(out)[:, 0])).tolist() == list(range(BEGIN + 1, END))
+    assert np.isfinite(drift_um(out)[:, 1:]).all()
+    assert (entry.table, entry.column, entry.count) == ("drift", "dX_um", END - BEGIN - 1)
+    assert labels_note(entry, True) == (
+        "campaign c, drift: 35 values of dX_um are frozen (2.58 to 5.42 h) while the machine stands and its"
+        " temperatures move: no measurement. Left out"
+    )
+    told, entries = without_held_labels(frozen(cooling()), apply=False)
+    assert np.isfinite(drift_um(told)).all()
+    assert labels_note(entries[0], False).endswith("Used as read, for repair is switched off")
+
+
+def test_what_is_left_is_separated_without_the_held_rows() -> None:
+    out, _ = without_held_labels(frozen(cooling()))
+    parts = {s.component: s for s in separate_campaign(MACHINE, out)}
+    assert len(parts["DX"].t_s) == 100 - (END - BEGIN - 1)
+    assert len(parts["DY"].t_s) == 100
+
+
+@pytest.mark.parametrize(
+    "campaign",
+    [
+        pytest.param(frozen(cooling(moves_K=0.3)), id="nothing cools: the machine truly stands still"),
+        pytest.param(replace(frozen(cooling()), duty=None), id="nobody knows when it stood"),
+        pytest.param(
+            replace(frozen(cooling()), duty=Duty(np.zeros(1), {"spindle_rpm": np.full(1, 900.0)})), id="it runs"
+        ),
+        pytest.param(frozen(cooling(), BEGIN, BEGIN + 4), id="too short"),
+        pytest.param(cooling(noise_um=0.0), id="free of noise, cools"),
+        pytest.param(cooling(moves_K=0.0, noise_um=0.0), id="free of noise, rests"),
+    ],
+)
+def test_what_may_be_a_measurement_stays(campaign: Campaign) -> None:
+    out, entries = without_held_labels(campaign)
+    assert out is campaign
+    assert entries == []
+
+
+def test_a_coarse_probe_is_told_and_believed() -> None:
+    """At 5 µm a digit the readings repeat while the machine runs too: a quiet hour looks the same as a dead probe."""
+    campaign = frozen(cooling(resolution_um=5.0))
+    out, entries = without_held_labels(campaign)
+    assert out is campaign
+    note = labels_note(next(e for e in entries if e.column == "dX_um"), True)
+    assert "they are used as measured, because" in note
+    assert "of the other readings repeat" in note
+
+
+def sweeps_of(campaign: Campaign) -> SweepPoints:
+    assert campaign.sweeps is not None
+    return campaign.sweeps
+
+
+def hung(campaign: Campaign, begin: int, end: int, directions: tuple[int, ...] = (0, 1, 2)) -> Campaign:
+    """The instrument repeats its last reading from one row of the sweeps to another."""
+    error_um = sweeps_of(campaign).error_um.copy()
+    error_um[begin:end, directions] = error_um[begin, directions]
+    return replace(campaign, sweeps=replace(sweeps_of(campaign), error_um=error_um))
+
+
+def test_an_instrument_that_hangs_within_a_sweep_is_left_out() -> None:
+    measured, _ = measured_campaign(np.random.default_rng(5))
+    out, entries = without_held_labels(hung(measured, 100, 110))
+    assert np.flatnonzero(np.isnan(sweeps_of(out).error_um).all(axis=1)).tolist() == list(range(101, 110))
+    assert {(e.table, e.column, e.count) for e in entries} == {("sweeps", f"d{d}_um", 9) for d in "XYZ"}
+    assert "while the axis goes from point to point: no measurement. Left out" in labels_note(entries[0], True)
+    assert len(separate_campaign(MACHINE, out)) == 3
+
+
+def test_a_sweep_with_too_few_points_left_goes_as_a_whole() -> None:
+    """Sweeps have 42 points; a hang from the second point of the third sweep on leaves it two."""
+    measured, _ = measured_campaign(np.random.default_rng(5))
+    out, entries = without_held_labels(hung(measured, 85, 126))
+    assert 2 not in sweeps_of(out).sweep
+    assert len(sweeps_of(out).t_s) == len(sweeps_of(measured).t_s) - 42
+    assert "and 42 points of sweeps that keep too few for a line" in labels_note(entries[0], True)
+    assert len(separate_campaign(MACHINE, out)) == 3
+
+
+def test_healthy_sweeps_one_constant_direction_and_tables_without_noise_stay() -> None:
+    measured, _ = measured_campaign(np.random.default_rng(5))
+    for campaign in (measured, hung(measured, 100, 110, (1,))):
+        out, entries = without_held_labels(campaign)
+        assert out is campaign
+        assert entries == []
+    # The axis waits at one place: a reading that repeats there is no sign of a hang.
+    waiting = hung(measured, 100, 110)
+    position_mm = sweeps_of(waiting).position_mm.copy()
+    position_mm[99:110] = position_mm[99]
+    waiting = replace(waiting, sweeps=replace(sweeps_of(waiting), position_mm=position_mm))
+    assert without_held_labels(waiting) == (waiting, [])
+    # A whole sweep without any change, as a cold sweep in a published table: told, and believed.
+    cold = hung(measured, 0, 42)
+    out, entries = without_held_labels(cold)
+    assert out is cold
+    assert len(entries) == 3
+    assert "the whole sweep is constant" in labels_note(entries[0], True)
+
+
+@pytest.mark.shared_data(DATA)
+def test_the_spindle_recording(shared_data: Path) -> None:
+    """As recorded no probe is ever frozen. With a probe held over a standstill, exactly those rows go."""
+    import pandas as pd
+
+    data = pd.read_excel(shared_data, engine="calamine").to_numpy(float)
+    counted = 0
+    for begin, end in pairwise((0, 1951, 3871, 5791, 7711, 9631, 11115)):
+        t_s = data[begin:end, 0] - data[begin, 0]
+        temperatures = Temperatures(t_s, tuple(f"t{i}" for i in range(1, 17)), data[begin:end, 7:])
+        campaign = Campaign(
+            "c", CampaignSettings(), temperatures, drift=Drift(t_s, data[begin:end, [2, 4, 6]]),
+            duty=Duty(t_s, {"spindle_rpm": data[begin:end, 1]}),
+        )  # fmt: skip
+        assert without_held_labels(campaign) == (campaign, [])
+        stands = np.flatnonzero(data[begin:end, 1] == 0)
+        if len(stands) < 900:
+            continue
+        first, last = int(stands[100]), int(stands[100]) + 400  # 100 min
+        out, entries = without_held_labels(frozen(campaign, first, last, (2,)))
+        assert [(e.column, e.count) for e in entries] == [("dZ_um", 399)]
+        assert np.flatnonzero(np.isnan(drift_um(out)[:, 2])).tolist() == list(range(first + 1, last))
+        counted += 1
+    assert counted == 5
+
+
+def test_the_analysis_counts_held_labels_in_its_notes() -> None:
+    from thetacomp.analysis import analyze_folder
+
+    whole = folder()
+    campaign = whole.campaign("c1")
+    t_s = campaign.temperatures.t_s
+    spoilt = frozen(replace(campaign, duty=standing(4.0 * HOUR_S, 7.0 * HOUR_S)), 48, 84)
+    result = analyze_folder(replace(whole, campaigns=tuple(spoilt if c.name == "c1" else c for c in whole.campaigns)))
+    (note,) = (n for n in result.model.notes if "frozen" in n)
+    assert note.startswith("campaign c1, drift: 35 values of dX_um")
+    (row,) = (r for r in result.validation if (r.campaign, r.model, r.split) == ("c1", "default", "campaign"))
+    assert row.n == len(t_s[::5]) - 35
