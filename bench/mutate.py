@@ -2,10 +2,11 @@
 
     python bench/mutate.py verification --count 60 --seed 1
 
-The tracked files are copied to a temporary folder, so that the tree itself is never changed. One run of the room's tests
-on the unchanged copy records which test reaches which line; each change is then put to the tests that reach its line,
-the quickest first, until one fails. A survivor is either equivalent (no caller can see it) or a hole in the tests.
-The share that is printed counts every survivor; what was judged equivalent, and why, stands in docs/mutation.md.
+The tracked files are copied to a temporary folder, so that the tree itself is never changed. One run of the room's
+tests on the unchanged copy records which test reaches which line; each change is then put to the tests that reach its
+line, the quickest first, until one fails. A survivor is either equivalent (no caller can see it) or a hole in the
+tests. The share that is printed counts every survivor; what was judged equivalent, and why, stands in
+bench/mutation.md.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ ROOMS = {
     "validation": Room(("validation",), ("validation",)),
 }
 # Loaded once, before the copies of this process run the tests.
-LIBRARIES = ("numpy", "pandas", "scipy.stats", "scipy.optimize", "scipy.signal", "sklearn.linear_model", "pyarrow.parquet",
-             "matplotlib.pyplot", "numba", "typer.testing", "pydantic", "jinja2", "openpyxl")  # fmt: skip
+LIBRARIES = ("numpy", "pandas", "scipy.stats", "scipy.optimize", "scipy.signal", "sklearn.linear_model",
+             "pyarrow.parquet", "matplotlib.pyplot", "numba", "typer.testing", "pydantic", "openpyxl")  # fmt: skip
 COMPARE = {
     ast.Lt: ("<=", ">="), ast.LtE: ("<", ">"), ast.Gt: (">=", "<="), ast.GtE: (">", "<"), ast.Eq: ("!=",),
     ast.NotEq: ("==",), ast.Is: ("is not",), ast.IsNot: ("is",), ast.In: ("not in",), ast.NotIn: ("in",),
@@ -381,6 +382,10 @@ def in_child(work: Any, seconds: float, log: Path) -> int | None:
     return None
 
 
+def end_of(log: Path) -> str:
+    return log.read_text(errors="replace")[-2000:]
+
+
 def record(root: Path, room: Room, limit_s: float) -> tuple[dict[str, set[tuple[str, int]]], dict[str, float]]:
     """Reached lines and duration of every test of the room that takes at most `limit_s`."""
     store = root / "record"
@@ -393,12 +398,10 @@ def record(root: Path, room: Room, limit_s: float) -> tuple[dict[str, set[tuple[
 
     code = in_child(work, 3600.0, root / "log")
     if not store.exists():
-        sys.exit(f"the tests do not run:\n{(root / 'log').read_text(errors='replace')[-2000:]}")
+        sys.exit(f"the tests do not run:\n{end_of(root / 'log')}")
     reached, seconds, failed = pickle.loads(store.read_bytes())
     if code or failed:
-        sys.exit(
-            f"the unchanged copy fails ({code}): {failed[:5]}\n{(root / 'log').read_text(errors='replace')[-2000:]}"
-        )
+        sys.exit(f"the unchanged copy fails ({code}): {failed[:5]}\n{end_of(root / 'log')}")
     return {test: lines for test, lines in reached.items() if seconds.get(test, 0.0) <= limit_s}, seconds
 
 

@@ -30,19 +30,16 @@ from thetacomp.verification.share import (
 LEVER_M = np.linspace(-1.0, 1.0, 5)
 
 
-def run(
-    value: Floats, intercept: Floats, slope: Floats, campaign: Floats | None = None, noise_um: float = 0.0
-) -> RunPoints:
+def run(value: Floats, intercept: Floats, slope: Floats) -> RunPoints:
     """Values (K, 5), expected intercepts and slopes (K,), a state an hour."""
     states, points = value.shape
-    lever = LEVER_M if points == 5 else np.linspace(-1.0, 1.0, points)
     return RunPoints(
         state=np.repeat(np.arange(states), points),
         p0_mm=500.0,
-        lever_m=np.tile(lever, states),
+        lever_m=np.tile(LEVER_M, states),
         value_um=value.ravel(),
-        noise_sd_um=noise_um,
-        campaign=np.zeros(states, dtype=np.int64) if campaign is None else campaign.astype(np.int64),
+        noise_sd_um=0.0,
+        campaign=np.zeros(states, dtype=np.int64),
         t_s=3600.0 * np.arange(1.0, states + 1),
         intercept_um=np.repeat(intercept, points),
         slope_um_per_m=np.repeat(slope, points),

@@ -119,8 +119,8 @@ def test_heat_without_any_sensor_is_no_like_heat() -> None:
 def test_each_axis_is_judged_by_the_root_of_its_squares_at_like_heat() -> None:
     """X: √(3² + 4²) = 5 on against √(6² + 8²) = 10 off at like heat; drift is a group of its own."""
     rows = [
-        row("EXX", 1.0, 3.0, like_um=6.0), row("EYX", 1.0, 4.0, like_um=8.0), row("DX", 9.0, 4.6), row("EZY", 10.0, 5.1),
-        row("EXW", 0.0, 1.0),
+        row("EXX", 1.0, 3.0, like_um=6.0), row("EYX", 1.0, 4.0, like_um=8.0), row("DX", 9.0, 4.6),
+        row("EZY", 10.0, 5.1), row("EXW", 0.0, 1.0),
     ]  # fmt: skip
     found = checked(rows=rows)
     limit = "RMS on / RMS off at like heat"

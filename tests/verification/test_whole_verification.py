@@ -1,0 +1,185 @@
+"""The spine of a verification on small runs: what is compared, from which size on, scaled by what, and said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from verification_runs import LAW, Run, rises_K, true_model, write_folder
+
+from thetacomp.campaign import Campaign, MachineFolder, SweepPoints
+from thetacomp.errors import AnalysisError
+from thetacomp.machine import WantedLength
+from thetacomp.reading import read_folder
+from thetacomp.separation import separate_campaign
+from thetacomp.states import axis_states
+from thetacomp.verification import Verification, verify_folder
+from thetacomp.verification.pattern import model_pattern
+
+ROUNDS = 5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> MachineFolder:
+    """Only the sweeps of X and Y of the known mill, off and on; on has 0.8 of the heat."""
+    runs = [Run("off", rounds=ROUNDS), Run("on", "on", heat=0.8, share=1.0, rounds=ROUNDS)]
+    read = read_folder(write_folder(tmp_path_factory.mktemp("m") / "m", runs))
+    return replace(read, campaigns=tuple(only(c, ("X", "Y")) for c in read.campaigns))
+
+
+def only(campaign: Campaign, axes: tuple[str, ...]) -> Campaign:
+    points = campaign.sweeps
+    assert points is not None
+    return replace(campaign, sweeps=taken(points, np.isin(np.array(points.axis), axes)))
+
+
+def taken(points: SweepPoints, rows: np.ndarray) -> SweepPoints:
+    return replace(
+        points, t_s=points.t_s[rows], axis=tuple(np.array(points.axis)[rows].tolist()), sweep=points.sweep[rows],
+        position_mm=points.position_mm[rows], direction=points.direction[rows], error_um=points.error_um[rows],
+    )  # fmt: skip
+
+
+def changed(folder: MachineFolder, name: str, **settings: object) -> MachineFolder:
+    def one(campaign: Campaign) -> Campaign:
+        return replace(campaign, settings=campaign.settings.model_copy(update=settings))
+
+    return replace(folder, campaigns=tuple(one(c) if c.name == name else c for c in folder.campaigns))
+
+
+@pytest.fixture(scope="module")
+def result(folder: MachineFolder) -> Verification:
+    return verify_folder(folder, ["off"], ["on"], true_model())
+
+
+def expected_um(component: str, heat: float) -> float:
+    """The largest error that the law gives over the run: at an end of the travel, at the warmest sweep."""
+    intercept, slope = LAW[component]
+    half_m = {"X": 1.0, "Y": 1.5}[component[2]]
+    t_s = 3600.0 * np.arange(1, ROUNDS) + (900.0 if component[2] == "Y" else 0.0) + 60.0
+    rise = rises_K(t_s, heat)[{"X": "tx", "Y": "ty"}[component[2]]].max()
+    return float((abs(intercept) + abs(slope) * half_m) * rise)
+
+
+def test_what_is_compared_and_where_it_stands(result: Verification) -> None:
+    names = [f"E{d}{a}" for a in "XY" for d in "XYZ"]
+    assert [row.component for row in result.rows] == [*names, "column_X", "column_Z"]
+    assert [line.component for line in result.states_off] == ["column_X", "column_Z", *names]
+    for line, other in zip(result.states_off, result.states_on, strict=True):
+        assert line.component == other.component
+        assert np.median(line.largest_um) > 2.0 * np.median(other.largest_um)
+    assert result.pattern == "model of 2026-03-02"
+    assert result.go, result.causes
+    # One drawn scatter for every component, the same in every call.
+    assert result.heat_ratio == pytest.approx(0.8, abs=0.02)
+
+
+def test_the_largest_size_of_each_component_is_that_of_the_law(result: Verification) -> None:
+    for share in result.shares:
+        if share.part == "all":
+            assert share.size_um == pytest.approx(expected_um(share.component, 0.8), rel=0.05)
+            assert share.material == (share.size_um >= 0.1 * max(expected_um(c, 1.0) for c in LAW if c[2] != "W"))
+
+
+def test_harm_is_allowed_up_to_a_quarter_of_the_largest_error_of_its_direction(result: Verification) -> None:
+    for one in result.harm:
+        largest = max(expected_um(f"E{one.component[1]}{axis}", 1.0) for axis in "XY")
+        assert one.limit_um == pytest.approx(0.25 * largest, rel=0.08)
+
+
+@pytest.mark.parametrize("name", ["off", "on"])
+def test_a_coarse_instrument_of_either_run_raises_what_can_be_judged(folder: MachineFolder, name: str) -> None:
+    coarse = verify_folder(changed(folder, name, instrument_u_um=60.0), ["off"], ["on"], true_model())
+    material = {share.component for share in coarse.shares if share.material and share.part == "all"}
+    assert material == {c for c in LAW if c[2] != "W" and expected_um(c, 0.8) > 60.0}
+    assert {"EXY", "EZY"} <= material < {c for c in LAW if c[2] != "W"}
+    assert all(one.limit_um >= 60.0 for one in coarse.harm)
+    assert not any("instrument_u_um" in note for note in coarse.notes)
+
+
+def test_what_nobody_stated_is_said(folder: MachineFolder, result: Verification) -> None:
+    assert not any("operating mode" in note or "instrument_u_um" in note for note in result.notes)
+    silent = changed(folder, "on", instrument_u_um=None)
+    notes = verify_folder(silent, ["off"], ["on"], true_model()).notes
+    assert sum("instrument_u_um" in note for note in notes) == 1
+    model = true_model()
+    model = model.model_copy(update={"training": model.training.model_copy(update={"mode": ""})})
+    for name in ("off", "on"):
+        silent = changed(silent, name, mode="")
+    assert any(
+        "no campaign states its operating mode" in n for n in verify_folder(silent, ["off"], ["on"], model).notes
+    )
+
+
+def test_what_only_one_run_measured_is_named_and_left_out(folder: MachineFolder) -> None:
+    off, on = folder.campaigns
+    one = replace(folder, campaigns=(only(off, ("X",)), on))
+    result = verify_folder(one, ["off"], ["on"], true_model())
+    assert {row.component for row in result.rows} == {"EXX", "EYX", "EZX"}
+    assert "EXY, EYY, EZY: not measured in all campaigns of both runs; not compared" in result.notes
+    with pytest.raises(AnalysisError, match="the two runs share no error component"):
+        verify_folder(replace(folder, campaigns=(only(off, ("X",)), only(on, ("Y",)))), ["off"], ["on"], true_model())
+
+
+def test_an_empty_campaign_and_one_without_heat_are_refused(folder: MachineFolder) -> None:
+    off, on = folder.campaigns
+    for pair in ((off, replace(on, sweeps=None)), (replace(off, sweeps=None), on)):
+        with pytest.raises(AnalysisError, match=r"campaign (on|off): there are no sweeps, parameters or drift"):
+            verify_folder(replace(folder, campaigns=pair), ["off"], ["on"], true_model())
+
+
+def test_a_component_of_one_run_that_nothing_explains_is_compared_as_measured(folder: MachineFolder) -> None:
+    """The model knows no X: no expected error there, so the size of harm in X comes from what was measured."""
+    model = true_model()
+    parts = {name: part for name, part in model.components.items() if name[2] == "Y"}
+    result = verify_folder(folder, ["off"], ["on"], model.model_copy(update={"components": parts}))
+    rows = {row.component: row.of("max") for row in result.rows}
+    assert np.isnan(rows["EXX"].like_before_um)
+    assert np.isfinite(rows["EXY"].like_before_um)
+    assert {one.component for one in result.harm} == {"EXY", "EYY", "EZY"}
+    assert {share.component for share in result.shares} == {"EXY", "EYY", "EZY"}
+    measured = rows["EYX"].before_um
+    limit = next(one.limit_um for one in result.harm if one.component == "EYY")
+    assert limit == pytest.approx(0.25 * max(measured, expected_um("EYY", 1.0)), rel=0.08)
+
+
+# --- the pattern of a stored model ------------------------------------------------------------------------------------
+
+
+def pattern(
+    folder: MachineFolder, model_update: dict[str, object]
+) -> tuple[list[np.ndarray], list[np.ndarray], object]:
+    """Expected intercepts and slopes of the axis X by the known model, and its states."""
+    separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
+    states = axis_states(folder, separations, ["off", "on"])[0]
+    expected, notes = model_pattern(true_model().model_copy(update=model_update), folder, states, separations)
+    assert notes == ()
+    return [e[0] for e in expected], [e[1] for e in expected], states
+
+
+@pytest.mark.parametrize(
+    "update",
+    [
+        {},
+        {"length": WantedLength(wanted="workpiece", workpiece_expansion_per_K=11.5e-6, workpiece_sensor="hall")},
+    ],
+)
+def test_the_pattern_of_a_model_is_its_law_less_its_value_over_the_cold_block(
+    folder: MachineFolder, update: dict[str, object]
+) -> None:
+    """Closed form: (a + b u) of the law times the rise of the drive's sensor since the cold sweeps.
+
+    What length is wanted changes nothing: the tracker measures true metres.
+    """
+    intercepts, slopes, states = pattern(folder, update)
+    for k, name in enumerate(("EXX", "EYX", "EZX")):
+        samples = states.samples[k]  # type: ignore[attr-defined]
+        rise = rises_K(samples.elapsed_h * 3600.0 + 315.0, 1.0)["tx"]
+        heat = np.where(np.array(states.campaigns)[states.campaign[samples.state]] == "on", 0.8, 1.0)  # type: ignore[attr-defined]
+        warm = rise > 1.0
+        assert np.count_nonzero(warm) > 50
+        ratio = intercepts[k][warm] / (heat * rise)[warm]
+        assert np.median(ratio) == pytest.approx(LAW[name][0], rel=0.03)
+        assert np.abs(ratio - LAW[name][0]).max() < 0.1 * abs(LAW[name][0])
+        np.testing.assert_allclose(slopes[k][warm], intercepts[k][warm] * LAW[name][1] / LAW[name][0], rtol=1e-6)
