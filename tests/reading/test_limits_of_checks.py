@@ -341,7 +341,8 @@ def test_two_kinds_of_errors_over_position_and_none_at_all(tmp_path: Path) -> No
     (two,) = told(tmp_path / "a", "two-sources", **both)
     assert "there are sweeps and already separated parameters" in two.message
     (nothing,) = told(tmp_path / "b", "nothing-measured", drift=None)
-    assert nothing.message.endswith("no sweeps, tracker points, drift or parameters.")
+    assert (nothing.severity, nothing.file) == ("error", "campaigns")
+    assert "no campaign has measured errors" in nothing.message
 
 
 def test_what_was_read_is_counted(tmp_path: Path) -> None:
