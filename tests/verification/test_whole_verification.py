@@ -6,16 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rigid_machine
+from rigid_machine import P0_MM
+from small_models import component, document, nothing_predicts, term
 from verification_runs import LAW, Run, rises_K, true_model, write_folder
 
 from thetacomp.campaign import Campaign, MachineFolder, SweepPoints
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import WantedLength
+from thetacomp.model.document import ModelDocument
 from thetacomp.reading import read_folder
 from thetacomp.separation import separate_campaign
 from thetacomp.states import axis_states
 from thetacomp.verification import Verification, verify_folder
-from thetacomp.verification.pattern import model_pattern
+from thetacomp.verification.pattern import fitted_pattern, model_pattern
 
 ROUNDS = 5
 
@@ -183,3 +187,99 @@ def test_the_pattern_of_a_model_is_its_law_less_its_value_over_the_cold_block(
         assert np.median(ratio) == pytest.approx(LAW[name][0], rel=0.03)
         assert np.abs(ratio - LAW[name][0]).max() < 0.1 * abs(LAW[name][0])
         np.testing.assert_allclose(slopes[k][warm], intercepts[k][warm] * LAW[name][1] / LAW[name][0], rtol=1e-6)
+
+
+def joint(**changes: float) -> ModelDocument:
+    """A joint model of the rigid machine: 5 µm/K of drift in Z; Z leans with X, Y, W by 8, 3 and -6 µm/m a kelvin."""
+    t1 = {"t1": 20.0}
+    parts = {"DZ": component("DZ", term(0.0, 5.0), None, t1).model_copy(update={"through_zero": True})}
+    for axis, slope in {"X": 8.0, "Y": 3.0, "W": -6.0, **changes}.items():
+        low, high = rigid_machine.AXES[rigid_machine.NAMES.index(axis)].travel_mm
+        for direction in "XYZ":
+            name, own = f"E{direction}{axis}", slope if direction == "Z" else 0.0
+            parts[name] = component(name, term(0.0, 0.0), term(0.0, own), t1, p=(P0_MM[axis], low, high))
+    for direction in "XY":
+        parts[f"D{direction}"] = component(f"D{direction}", term(0.0, 0.0), None, t1)
+    made = document({a.name: a.direction for a in rigid_machine.AXES}, parts, {"t1": (0.0, 10.0)})
+    return made.model_copy(update={"form": "joint", "tool_length_mm": rigid_machine.TOOL_MM})
+
+
+@pytest.mark.parametrize("written_down", [True, False])
+def test_a_joint_model_expects_the_drift_and_the_tilt_of_the_other_axes_where_they_stood(written_down: bool) -> None:
+    """Closed form at P0 of X: 5 µm/K of drift and 3 · (y - P0) - 6 · (w - P0); W was moved on by 100 mm after 3 h.
+
+    Where nobody wrote the positions down the others count as standing at P0.
+    """
+    rigid = rigid_machine.draw_rigid(np.random.default_rng(1))
+    campaign = rigid_machine.measure(rigid, np.random.default_rng(1), "a", at=written_down)
+    points = campaign.sweeps
+    assert points is not None
+    later = 3.0 * 3600.0
+    at_mm = {n: np.where((points.t_s > later) & (n == "W"), p + 100.0, p) for n, p in points.at_mm.items()}
+    campaign = replace(campaign, sweeps=replace(points, at_mm=at_mm))
+    whole = MachineFolder(rigid_machine.MACHINE, (campaign,))
+    separations = separate_campaign(whole.machine, campaign)
+    states = next(s for s in axis_states(whole, separations, ["a"]) if s.axis == "X")
+    expected, _ = model_pattern(joint(), whole, states, separations)
+    k = states.components.index("EZX")
+    samples = states.samples[k]
+    own = next(s for s in separations if s.component == "EZX")
+    t_s = 3600.0 * samples.elapsed_h + float(own.zero_t_s.mean())
+    rise_K = campaign.temperatures.at(t_s)[:, 0] - 20.0
+    standing = rigid_machine.STAND_MM
+    w_mm = np.where(t_s > later, standing["W"] + 100.0, standing["W"])
+    tilt = 3.0 * (standing["Y"] - P0_MM["Y"]) / 1000.0 - 6.0 * (w_mm - P0_MM["W"]) / 1000.0
+    np.testing.assert_allclose(expected[k][0], rise_K * (5.0 + (tilt if written_down else 0.0)), atol=1e-6)
+    np.testing.assert_allclose(expected[k][1], rise_K * 8.0, atol=1e-6)
+    x = states.components.index("EXX")
+    np.testing.assert_allclose(expected[x][0], 0.0, atol=1e-9)
+
+
+def test_what_a_model_does_not_predict_has_no_pattern_and_is_named(folder: MachineFolder) -> None:
+    """EYX has no inputs, EZX is unknown: both are NaN at every sample."""
+    model = true_model()
+    parts = {name: part for name, part in model.components.items() if name != "EZX"}
+    parts["EYX"] = nothing_predicts("EYX")
+    separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
+    states = axis_states(folder, separations, ["off", "on"])[0]
+    expected, notes = model_pattern(model.model_copy(update={"components": parts}), folder, states, separations)
+    assert [bool(np.isfinite(e[0]).all()) for e in expected] == [True, False, False]
+    assert [note.split(":")[0] for note in notes] == ["EYX", "EZX"]
+    assert np.isnan([*expected[1][0], *expected[1][1]]).all()
+
+
+def test_a_fit_to_the_run_off_does_not_look_at_the_run_on(folder: MachineFolder) -> None:
+    """The machine's law comes back from the off run, whatever is added to the other one."""
+    off, on = folder.campaigns
+    points = on.sweeps
+    assert points is not None
+    spoilt = replace(
+        folder, campaigns=(off, replace(on, sweeps=replace(points, error_um=3.0 * points.error_um + 50.0)))
+    )
+    found = []
+    for one in (folder, spoilt):
+        separations = [s for c in one.campaigns for s in separate_campaign(one.machine, c)]
+        states = axis_states(one, separations, ["off", "on"])[1]
+        expected, notes = fitted_pattern(one, states, ["off"])
+        assert notes == ()
+        found.append(expected)
+        k = states.components.index("EXY")
+        samples = states.samples[k]
+        rise = rises_K(samples.elapsed_h * 3600.0 + 900.0 + 315.0, 1.0)["ty"]
+        heat = np.where(np.array(states.campaigns)[states.campaign[samples.state]] == "on", 0.8, 1.0)
+        warm = rise > 2.0
+        assert np.median(expected[k][0][warm] / (heat * rise)[warm]) == pytest.approx(LAW["EXY"][0], rel=0.12)
+        assert np.median(expected[k][1][warm] / (heat * rise)[warm]) == pytest.approx(LAW["EXY"][1], rel=0.12)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one[0], other[0], atol=1e-9)
+        np.testing.assert_allclose(one[1], other[1], atol=1e-9)
+
+
+def test_a_run_off_that_no_sensor_explains_says_so(folder: MachineFolder) -> None:
+    """Two heated sweeps cannot carry a fit; and errors without any heat in them have no sensor."""
+    separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
+    states = axis_states(folder, separations, ["off", "on"])[0]
+    few = states.take(np.flatnonzero((states.campaign == 1) | (states.t_s < 4000.0)))
+    expected, (note,) = fitted_pattern(folder, few, ["off"])
+    assert note.startswith("axis X: ")
+    assert all(np.isnan(e[0]).all() and np.isnan(e[1]).all() for e in expected)
