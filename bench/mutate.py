@@ -207,7 +207,7 @@ def record(root: Path, room: Room, limit_s: float) -> tuple[dict[str, set[tuple[
     reached, seconds, failed = pickle.loads(store.read_bytes())
     if code or failed:
         sys.exit(f"the unchanged copy fails ({code}): {failed[:5]}\n{end_of(root / 'log')}")
-    return {test: lines for test, lines in reached.items() if seconds.get(test, 0.0) <= limit_s}, seconds
+    return {test: lines for test, lines in reached.items() if seconds.get(test, float("inf")) <= limit_s}, seconds
 
 
 def tests_of(mutant: Mutant, root: Path, source: bytes, reached: dict[str, set[tuple[str, int]]]) -> list[str]:

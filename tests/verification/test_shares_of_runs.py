@@ -143,8 +143,8 @@ def test_drawn_rests_follow_each_other_within_a_campaign_only() -> None:
     known = _autocorrelation(fit)
     assert 0.4 < known <= 0.9
     drawn = (repeated_runs(fit, np.random.default_rng(6), 6000) - fit.explained_um).reshape(6000, 40, 5)[:, :, 2]
-    within = np.mean([np.corrcoef(drawn[:, k], drawn[:, k + 1])[0, 1] for k in range(19)])
-    assert within == pytest.approx(known, abs=0.05)
+    within = [np.corrcoef(drawn[:, k], drawn[:, k + 1])[0, 1] for k in range(39) if k != 19]
+    assert np.abs(np.array(within) - known).max() < 0.08
     assert abs(np.corrcoef(drawn[:, 19], drawn[:, 20])[0, 1]) < 0.06
     # A stationary sequence: the last state scatters as the first.
     assert drawn[:, 19].std() == pytest.approx(drawn[:, 0].std(), rel=0.06)
