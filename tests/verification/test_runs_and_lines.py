@@ -252,6 +252,7 @@ def test_the_scatter_of_the_zero_is_pooled_over_the_campaigns_of_the_run() -> No
         part("EYX", "d", **twice, **none, cold=np.full(4, True)),
     ]  # fmt: skip
     assert zero_scatter(parts, "EYX", ["a", "b", "d"]) == (pytest.approx(np.sqrt((4.5 + 12.0) / 2)), 0.0)
+    assert zero_scatter(parts[::-1], "EYX", ["a", "b", "d"]) == zero_scatter(parts, "EYX", ["a", "b", "d"])
 
 
 def test_facts_of_a_run_by_hand() -> None:

@@ -131,6 +131,13 @@ def test_an_empty_campaign_and_one_without_heat_are_refused(folder: MachineFolde
     for pair in ((off, replace(on, sweeps=None)), (replace(off, sweeps=None), on)):
         with pytest.raises(AnalysisError, match=r"campaign (on|off): there are no sweeps, parameters or drift"):
             verify_folder(replace(folder, campaigns=pair), ["off"], ["on"], true_model())
+    assert on.sweeps is not None
+    silent = replace(on, sweeps=replace(on.sweeps, error_um=np.full_like(on.sweeps.error_um, np.nan)))
+    with pytest.raises(AnalysisError, match="campaign on holds no sweeps, parameters or drift"):
+        verify_folder(replace(folder, campaigns=(off, silent)), ["off"], ["on"], true_model())
+    cold = replace(on, sweeps=taken(on.sweeps, on.sweeps.t_s < 3600.0))
+    with pytest.raises(AnalysisError, match="neither run holds heated states"):
+        verify_folder(replace(folder, campaigns=(off, cold)), ["off"], ["on"], true_model())
 
 
 def test_a_component_of_one_run_that_nothing_explains_is_compared_as_measured(folder: MachineFolder) -> None:
