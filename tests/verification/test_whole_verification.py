@@ -122,6 +122,7 @@ def test_what_only_one_run_measured_is_named_and_left_out(folder: MachineFolder)
     result = verify_folder(one, ["off"], ["on"], true_model())
     assert {row.component for row in result.rows} == {"EXX", "EYX", "EZX"}
     assert "EXY, EYY, EZY: not measured in all campaigns of both runs; not compared" in result.notes
+    assert not any("no heated state" in note for note in result.notes)
     with pytest.raises(AnalysisError, match="the two runs share no error component"):
         verify_folder(replace(folder, campaigns=(only(off, ("X",)), only(on, ("Y",)))), ["off"], ["on"], true_model())
 
