@@ -116,6 +116,14 @@ def test_what_nobody_stated_is_said(folder: MachineFolder, result: Verification)
     )
 
 
+def test_the_steps_are_told_as_they_begin(folder: MachineFolder) -> None:
+    told: list[str] = []
+    verify_folder(folder, ["off"], ["on"], true_model(), told.append)
+    assert told == [
+        "separating geometry and heat", "relating temperatures and error with compensation off", "comparing off and on",
+    ]  # fmt: skip
+
+
 def test_what_only_one_run_measured_is_named_and_left_out(folder: MachineFolder) -> None:
     off, on = folder.campaigns
     one = replace(folder, campaigns=(only(off, ("X",)), on))
