@@ -90,8 +90,7 @@ class History:
 
     def predict(self, record: Record, value_degC: Floats, base: Floats) -> Floats:
         """Errors (n, targets); NaN where a sensor of the model is missing."""
-        ids = record.temperatures.sensor_ids
-        value = value_degC[:, [ids.index(name) for name in self.layout.sensors]]
+        value = replace(record.temperatures, value_degC=value_degC).select(self.layout.sensors).value_degC
         inputs = history_inputs(self.layout, record.temperatures.t_s, value, record.speed_rpm)
         return self.ridge.predict(rise_since(inputs, inputs[0]))
 
@@ -186,7 +185,7 @@ def history_model(records: Sequence[Record], without: int | None) -> Fitted:
     x, y, campaign = [], [], []
     for number, record in enumerate(records):
         table = record.temperatures
-        value = table.value_degC[:, [ids.index(name) for name in layout.sensors]]
+        value = table.select(layout.sensors).value_degC
         inputs = history_inputs(layout, table.t_s, value, record.speed_rpm)
         x.append(rise_since(inputs, inputs[0])[::4])
         y.append(rises(record.displacement_um)[::4])
