@@ -4,7 +4,7 @@ Two compensations, each fitted on healthy campaigns other than the one under tes
 on five sensors with the faulty one among them, and `heat history`, the averaged block ridge on all sensors. The error
 from the begin of the fault to the end of the campaign, after repair, is divided by the error on the healthy table over
 the same time. Where the screening calls the sensor lost, the fallback without it takes over, and the difference of the
-two models at the switch decays as in compensation/switch.py. `offline` screens the whole record; `live` uses the
+two models at the switch decays as in model/fallback.py. `offline` screens the whole record; `live` uses the
 verdicts sample by sample, from the first verdict on. Also: false alarms on healthy records, per month of 720 h, where
 every finding counts, a spike too.
 

@@ -61,7 +61,7 @@ def live_error_um(
     """What the machine takes for its error at n moments and positions of all axes, (n, 3) in µm.
 
     Zero where the model has no such component. When a sensor is lost the fallback goes on from where the output was;
-    the difference decays as `compensation.switch` says. Raises AnalysisError as `predict_volume` does.
+    the difference decays as `model.fallback` says. Raises AnalysisError as `predict_volume` does.
     """
     begins = [(-np.inf, frozenset[str]()), *live.lost]
     ends = [*(begin_s for begin_s, _ in live.lost), np.inf]
