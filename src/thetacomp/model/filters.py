@@ -223,7 +223,7 @@ def recorded_inputs(layout: HistoryLayout, temperatures: Temperatures, duty: Dut
 
     Raises AnalysisError for a sensor without a column, and where the layout has speeds and the duty has none.
     """
-    read = temperatures.select(layout.sensors).bridged()
+    read = temperatures.bridged().select(layout.sensors)
     if layout.speed_powers and (duty is None or SPEED not in duty.columns):
         raise AnalysisError(
             f"this model needs the spindle speed, and there is no {SPEED}."

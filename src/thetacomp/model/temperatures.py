@@ -128,6 +128,6 @@ def between_samples(sample_s: Floats, value: Floats, t_s: Floats) -> Floats:
     after = np.clip(np.searchsorted(sample_s, t_s, side="left"), 0, len(sample_s) - 1)
     before = np.where((sample_s[after] > t_s) & (after > 0), after - 1, after)
     step_s = np.where(after > before, sample_s[after] - sample_s[before], 1.0)
-    share = np.where(after > before, (t_s - sample_s[before]) / step_s, 0.0)[:, None]
-    between: Floats = value[before] * (1.0 - share) + value[after] * share
+    slope = (value[after] - value[before]) / step_s[:, None]
+    between: Floats = slope * (np.clip(t_s, sample_s[0], sample_s[-1]) - sample_s[before])[:, None] + value[before]
     return between
