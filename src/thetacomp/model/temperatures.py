@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +41,11 @@ class Temperatures:
                 far |= (t_s - known_s[-1] > limit_s) | (known_s[0] - t_s > limit_s)
                 out[:, j] = np.where(far, np.nan, np.interp(t_s, known_s, self.value_degC[good, j]))
         return out
+
+    def without(self, sensors: Collection[str]) -> Temperatures:
+        """The same table without the columns of some sensors."""
+        kept = [j for j, name in enumerate(self.sensor_ids) if name not in sensors]
+        return Temperatures(self.t_s, tuple(self.sensor_ids[j] for j in kept), self.value_degC[:, kept])
 
 
 @dataclass(frozen=True)
