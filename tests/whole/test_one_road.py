@@ -27,7 +27,6 @@ from thetacomp.sensors.sensor_curve import sensor_curve
 from thetacomp.separation import separate_folder
 from thetacomp.states import axis_states
 
-
 BEST = ("theta_11", "theta_13")
 
 

@@ -80,7 +80,7 @@ def train(
     )
     fitted = tuple((states, procedures.key_points(states)) for states in prepared.training)
     fitted_paper = _where_possible(prepared.training, procedures.paper)
-    progress("fitting heat history, and a fallback for every sensor")
+    progress("fitting heat history" + (", and a fallback for every sensor" if lost is None else ""))
     history = [
         with_fallbacks(
             prepared.folder,
