@@ -1,4 +1,4 @@
-"""A column whose heat is slow: its error follows sensor a by an hour."""
+"""A column whose heat is slow, with known truth: the error follows sensor a by an hour."""
 
 from __future__ import annotations
 
