@@ -383,7 +383,7 @@ def test_a_name_with_markup_cannot_break_the_page(tmp_path: Path) -> None:
 
 
 def test_a_faulty_sensor_is_mended_before_anything_is_expected_of_it(tmp_path: Path) -> None:
-    """The drive sensor of Y jumps by 25 K in the run with compensation on: unscreened, it lets expect errors that are not there."""
+    """The drive sensor of Y jumps by 25 K in the run with compensation on: unscreened, the wrong error is expected."""
     names = ["off_1", "off_2", "off_3"]
     path = write_folder(tmp_path / "m", [*(Run(name) for name in names), Run("on", "on", share=1.0)])
     healthy = verify_folder(read_folder(path), names, ["on"])
