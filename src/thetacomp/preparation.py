@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.campaign import MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.mixtures import condition_notes, refuse_mixtures
 from thetacomp.screening.campaigns import ScreenedFolder, screened
@@ -59,7 +59,7 @@ class Prepared:
 
     def without_sensors(self, lost: Collection[str]) -> Prepared:
         """The same measurements as if some sensors had never been read; screening and separation stand."""
-        folder = replace(self.folder, campaigns=tuple(_unread(campaign, lost) for campaign in self.folder.campaigns))
+        folder = self.folder.without_sensors(lost)
         everything, training = _states(folder, self.separated.components, self.train, self.test)
         return replace(self, folder=folder, everything=everything, training=training)
 
@@ -150,10 +150,3 @@ def _dropped_notes(separations: Sequence[ComponentSeparation], everything: Seque
         for component, names in measured.items()
         if component not in kept
     )
-
-
-def _unread(campaign: Campaign, lost: Collection[str]) -> Campaign:
-    before = campaign.before
-    if before is not None:
-        before = replace(before, temperatures=before.temperatures.without(lost))
-    return replace(campaign, temperatures=campaign.temperatures.without(lost), before=before)

@@ -264,8 +264,7 @@ def _predict(
 ) -> None:
     """Fill in what a model says of the moments `rows`, without the sensors that it can do without."""
     known = {component.axis for component in model.components.values()}
-    table = month.temperatures.without(lost - used_sensors(model))
-    table = replace(table, value_degC=table.at(table.t_s))
+    table = month.temperatures.without(lost - used_sensors(model)).bridged()
     there = {
         name: np.repeat([place.positions_mm[name] for place in places], len(rows))
         for name in places[0].positions_mm
