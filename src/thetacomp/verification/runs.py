@@ -47,8 +47,8 @@ class RunPoints:
         return bool(len(expected)) and bool(np.isfinite(expected).all()) and bool(np.abs(expected).max() > 0)
 
 
-def refuse_contradictions(folder: MachineFolder, off: Sequence[str], on: Sequence[str]) -> None:
-    """The campaigns of both runs are there, and are what they are called. Raises AnalysisError where one is not."""
+def chosen(folder: MachineFolder, off: Sequence[str], on: Sequence[str]) -> tuple[list[Campaign], list[Campaign]]:
+    """The campaigns of both runs. Raises AnalysisError where a name or campaign.toml contradicts the command."""
     known = [campaign.name for campaign in folder.campaigns]
     unknown = [name for name in (*off, *on) if name not in known]
     if unknown:
@@ -80,6 +80,7 @@ def refuse_contradictions(folder: MachineFolder, off: Sequence[str], on: Sequenc
                     f"the campaigns named with --{wanted} have different {label} ({told}); they are no single run."
                     " Fix: name campaigns of one kind, or correct campaign.toml."
                 )
+    return runs
 
 
 def run_points(

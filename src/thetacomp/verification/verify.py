@@ -29,8 +29,8 @@ from thetacomp.verification.lines import squareness, straightness
 from thetacomp.verification.pattern import fitted_pattern, model_pattern
 from thetacomp.verification.runs import (
     RunPoints,
+    chosen,
     facts,
-    refuse_contradictions,
     run_points,
     without_expectation,
     zero_scatter,
@@ -59,11 +59,11 @@ def verify_folder(
     The expected uncompensated error comes from `model`, or is fitted to the campaigns of `off`. Raises AnalysisError
     where campaign.toml contradicts the names, or where the runs share no error component.
     """
-    refuse_contradictions(folder, off, on)
+    as_read = chosen(folder, off, on)
     progress("screening temperatures")
     screening = screened(folder, off, on)
     folder = screening.folder
-    runs = [folder.campaign(name) for name in off], [folder.campaign(name) for name in on]
+    runs = [folder.campaign(c.name) for c in as_read[0]], [folder.campaign(c.name) for c in as_read[1]]
     progress("separating geometry and heat")
     separations = tuple(s for c in (*runs[0], *runs[1]) for s in separate_campaign(folder.machine, c))
     _refuse_empty(runs, separations)
