@@ -15,7 +15,9 @@ from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
 from thetacomp.model.temperatures import Temperatures
+from thetacomp.preparation import Prepared
 from thetacomp.screening import Finding
+from thetacomp.separation import Separated
 from thetatwin.campaigns import Twin
 from thetatwin.conditions import Tracker
 from thetatwin.hall import DAY_S
@@ -222,14 +224,15 @@ def test_where_the_model_changes_the_output_goes_on_without_a_bump(
 def test_the_model_without_a_lost_sensor_is_made_once_and_does_not_read_it(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[tuple[str, ...]] = []
 
-    def fit(folder: Any) -> Any:
-        made.append(folder.campaigns[0].temperatures.sensor_ids)
+    def fit(prepared: Prepared, lost: Any) -> Any:
+        made.append(prepared.folder.campaigns[0].temperatures.sensor_ids)
         return SimpleNamespace(model=f"number {len(made)}")
 
     monkeypatch.setattr("thetatwin.trial.run.train", fit)
     folder = sweeps_analysis().folder
     ids = folder.campaigns[0].temperatures.sensor_ids
-    ready, lost = Ready(folder, "whole"), frozenset(ids[1:2])  # type: ignore[arg-type]
+    prepared = Prepared(folder, (folder.campaigns[0].name,), (), None, Separated("separate", ()), (), (), ())
+    ready, lost = Ready(prepared, "whole"), frozenset(ids[1:2])  # type: ignore[arg-type]
     assert ready.without(frozenset()) == "whole"
     assert ready.without(lost) == ready.without(lost) == "number 1"
     assert made == [ids[:1] + ids[2:]]

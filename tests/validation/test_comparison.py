@@ -16,20 +16,21 @@ from thetacomp.analysis import analyze_folder
 from thetacomp.arrays import Floats
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.folds import hold_out, training_states
+from thetacomp.folds import hold_out, training_states
 from thetacomp.report import write_report
 from thetacomp.report.analysis_files import write_tables
 from thetacomp.separation import separate_all
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.validation.families import families
 from thetacomp.validation.families.choice import FamilyModel, family_procedure, inner_errors, training_table
-from thetacomp.validation.families.compare import AxisTask, compare_families
+from thetacomp.validation.families.compare import compare_families
 from thetacomp.validation.families.dynamic import SLOWEST, Arx, Course, Grey, fit_arx, fit_grey, on_grid, step_h
 from thetacomp.validation.families.families import FAMILIES
 from thetacomp.validation.families.family import BUDGET, Family, Rows, Table, linear, one_by_one
 from thetacomp.validation.families.linear import step_path
 from thetacomp.validation.families.rows import COMPARISON_ONLY
 from thetacomp.validation.families.shrinkage import group_lasso_path
+from thetacomp.validation.validate import AxisTask
 
 BY_NAME = {family.name: family for family in FAMILIES}
 NAMES = list(BY_NAME)
