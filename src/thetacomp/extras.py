@@ -30,5 +30,5 @@ def require(extra: Extra) -> None:
     except ModuleNotFoundError as exc:
         raise MissingExtraError(
             f"{purpose} needs the extra '{extra}', which is not installed (no module '{exc.name}')."
-            f" Fix: pip install 'thetacomp[{extra}]'."
+            f" Fix: pip install 'thetacomp[{extra}]', or '.[{extra}]' in a clone."
         ) from None

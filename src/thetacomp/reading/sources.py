@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.extras import require
 from thetacomp.reading import text
 from thetacomp.reading.problems import UnreadableError, quoted, shortened
 from thetacomp.reading.workbook import Workbook
@@ -72,23 +74,31 @@ def from_sheet(workbook: Workbook, sheet: str, file: str, row_names: bool = Fals
 
 def from_frame(frame: pd.DataFrame, file: str) -> Source:
     """A pandas frame; an index that is named like a time column counts as a column. Raises UnreadableError."""
-    import pyarrow as pa
-
     if frame.index.name is not None:
         frame = frame.reset_index()
-    _refuse_duplicates([str(name).strip() for name in frame.columns])
-    columns = []
-    for position, name in enumerate(frame.columns):
-        try:
-            array = pa.Array.from_pandas(frame.iloc[:, position])
-        except (pa.ArrowInvalid, pa.ArrowTypeError, pa.ArrowNotImplementedError, OverflowError):
-            columns.append(Column(str(name).strip(), frame.iloc[:, position].tolist()))
-        else:
-            columns.append(Column(str(name).strip(), _arrow_cells(array, str(name))))
+    names = [str(name).strip() for name in frame.columns]
+    _refuse_duplicates(names)
+    columns = [Column(name, _series_cells(frame.iloc[:, i])) for i, name in enumerate(names)]
     return _typed_source(columns, len(frame), file)
 
 
+def _series_cells(series: pd.Series[Any]) -> Floats | list[Any]:
+    """Numbers as floats with NaN for missing; times, strings and everything else as Python objects."""
+    import pandas as pd
+
+    missing = series.isna().tolist()
+    cells: list[Any] = [
+        None if gone else cell for cell, gone in zip(series.astype(object).tolist(), missing, strict=True)
+    ]
+    if all(cell is None or (isinstance(cell, int | float | Decimal) and not isinstance(cell, bool)) for cell in cells):
+        return np.array([np.nan if cell is None else float(cell) for cell in cells])
+    # A pandas Timestamp counts nanoseconds, a datetime microseconds.
+    cells = [cell.to_pydatetime(warn=False) if isinstance(cell, pd.Timestamp) else cell for cell in cells]
+    return [cell.strip() if isinstance(cell, str) else cell for cell in cells]
+
+
 def _from_parquet(path: Path, file: str) -> Source:
+    require("parquet")
     import pyarrow as pa
     import pyarrow.parquet as pq
 
