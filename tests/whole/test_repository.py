@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import shutil
@@ -130,9 +131,14 @@ def test_no_file_holds_a_path_of_one_computer_or_the_host_of_a_registry():
     assert not found, "\n".join(found)
 
 
-def test_there_is_no_notebook_and_no_pickle():
-    unwanted = {".ipynb", ".pkl", ".pickle", ".joblib"}
+def test_there_is_no_pickle_and_notebooks_are_stored_without_outputs():
+    unwanted = {".pkl", ".pickle", ".joblib"}
     assert [path.name for path in repository_files() if path.suffix in unwanted] == []
+    for path in repository_files():
+        if path.suffix == ".ipynb":
+            cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+            code = [cell for cell in cells if cell["cell_type"] == "code"]
+            assert [(cell["outputs"], cell["execution_count"]) for cell in code] == [([], None)] * len(code), path.name
 
 
 # --- locked dependencies ----------------------------------------------------------------------------------------------

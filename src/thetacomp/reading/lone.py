@@ -121,6 +121,15 @@ def _positions(table: Table, problems: ProblemList) -> Positions:
             table.rows[lost].tolist(),
             table.header("position_mm"),
         )
+    beside = [name for name in table.numbers if name.endswith("_mm") and name not in ("position_mm", "tool_length_mm")]
+    if any(axis) and beside:
+        problems.error(
+            "two-forms",
+            table.file,
+            f"an axis with position_mm stands beside {', '.join(beside)}.",
+            "give either t_s, axis, position_mm, or t_s and one column for each axis.",
+            [int(table.rows[0])],
+        )
     at_mm = {
         name.removesuffix("_mm"): values
         for name, values in table.numbers.items()
