@@ -69,9 +69,7 @@ def test_the_notebook_runs_and_every_cell_shows_something(notebook):
 def test_a_notebook_shows_verdict_and_picture(notebook):
     html = notebook[2]["analysis"]._repr_html_()
     assert "Not fit for use" in html
-    line = (
-        r"column deviation X, held out: largest error 451\.6 → 42\.4 µm \(90\.6 % less; the clock alone leaves"
-    )
+    line = r"column deviation X, held out: largest error 451\.6 → 42\.4 µm \(90\.6 % less; the clock alone leaves"
     assert re.search(line, html)
     assert html.count("<svg") == 1
     assert "Before and after" in html
