@@ -196,8 +196,7 @@ def test_analyze_writes_the_curve_and_draws_it(tmp_path: Path) -> None:
     assert right.get_title(loc="left") == "campaigns drawn anew 200 times"
 
 
-def test_no_curve_and_no_compiler_where_campaigns_are_too_few() -> None:
-    """An analysis with one campaign an axis must not load Numba, which costs seconds."""
+def test_no_curve_where_campaigns_are_too_few() -> None:
     code = (
         "import sys\n"
         "from importlib.resources import files\n"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, progress_lines, run
+from thetacomp.extras import require
 
 if TYPE_CHECKING:
     from thetacomp.analysis_result import Analysis
@@ -39,6 +40,8 @@ def analyze(
     """Separate, choose key points, fit, validate; write model.json, tables, figures and report.html."""
 
     def work() -> Outcome:
+        if compare:
+            require("families")
         from thetacomp.analysis import analyze_folder
         from thetacomp.reading import read_folder
         from thetacomp.report import write_report

@@ -44,16 +44,17 @@ Then, with your own machine
 
 
 def demo(
+    context: typer.Context,
     out: Annotated[Path, typer.Option("--out", help="Folder for input, results and controller data.")] = Path(
         "thetacomp-demo"
     ),
     as_json: JsonOption = False,
 ) -> None:
     """Run the whole job on the bundled machine, then say which files to open."""
-    run(lambda: _demo(out, as_json), as_json)
+    run(lambda: _demo(context, out, as_json), as_json)
 
 
-def _demo(out: Path, as_json: bool) -> Outcome:
+def _demo(context: typer.Context, out: Path, as_json: bool) -> Outcome:
     folder, results, control = out / "tk6920", out / "results", out / "sinumerik"
     model, positions, reasons = results / "model.json", out / "positions.csv", out / "keypoints.txt"
     _copy_example(folder)
@@ -68,7 +69,7 @@ def _demo(out: Path, as_json: bool) -> Outcome:
         """Say what comes, run it, and return its words without printing them."""
         arguments = [str(part) for part in command]
         say(f"{len(told) + 1}. {purpose}\n   $ {_printed(arguments)}\n")
-        words, data = _run_command(arguments, as_json)
+        words, data = _run_command(context, arguments, as_json)
         told.append({"command": arguments, **data})
         return words
 
@@ -107,16 +108,16 @@ def _printed(arguments: list[str]) -> str:
     return line if len(line) < 100 else line.replace(" --", " \\\n       --")
 
 
-def _run_command(arguments: list[str], as_json: bool) -> tuple[str, dict[str, Any]]:
-    """Run one command of thetacomp in this process: its words and, on demand, its data.
+def _run_command(context: typer.Context, arguments: list[str], as_json: bool) -> tuple[str, dict[str, Any]]:
+    """Run another command of the same program in this process: its words and, on demand, its data.
 
     "Not fit for use" is the right end for the bundled data. AnalysisError where a command ends otherwise.
     """
-    from thetacomp.cli.main import app
-
+    json_option = ["--json"] if as_json else []
+    thetacomp = context.find_root().command
     words = io.StringIO()
     with redirect_stdout(words):
-        exit_code = app([*arguments, "--json"] if as_json else arguments, standalone_mode=False) or DONE
+        exit_code = thetacomp.main([*arguments, *json_option], "thetacomp", standalone_mode=False) or DONE
     if exit_code not in (DONE, NOT_FIT):
         raise AnalysisError(f"`{_printed(arguments)}` ended with exit code {exit_code}.\n{words.getvalue()}")
     return words.getvalue(), json.loads(words.getvalue()) if as_json else {}

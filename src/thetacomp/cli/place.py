@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
+from thetacomp.extras import require
 
 if TYPE_CHECKING:
     from thetatwin.sensor_places import Placement
@@ -28,6 +29,7 @@ def place(
 
 
 def _work(out: Path, preset: str, mounting_name: str, sensors: int, seed: int) -> Outcome:
+    require("twin")
     from thetatwin.conditions import load_conditions
     from thetatwin.description import load_description
     from thetatwin.mounting import load_mounting

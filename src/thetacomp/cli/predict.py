@@ -71,14 +71,8 @@ def _predict_volume(
     place: Callable[[int], str],
 ) -> Outcome:
     """Positions of all axes at once: the joint form."""
-    from thetacomp.errors import AnalysisError
     from thetacomp.model.volumetric import predict_volume, write_volume
 
-    if any(positions.axis):
-        raise AnalysisError(
-            f"{place(0)}: an axis with position_mm stands beside {', '.join(f'{name}_mm' for name in positions.at_mm)}."
-            " Fix: give either t_s, axis, position_mm, or t_s and one column for each axis."
-        )
     at_mm, length_mm = positions.at_mm, positions.tool_length_mm
     prediction = predict_volume(model, temperatures, positions.t_s, at_mm, length_mm, moment, place, duty)
     write_volume(prediction, out)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
+from thetacomp.extras import require
 
 
 def trial(
@@ -34,6 +35,7 @@ def trial(
 
 
 def _work(out: Path, preset: str, seed: int, months: int, training: str, every_min: int, screening: bool) -> Outcome:
+    require("twin")
     from thetatwin.campaigns import make_twin
     from thetatwin.conditions import load_conditions
     from thetatwin.description import load_description

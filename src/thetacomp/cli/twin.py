@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from thetacomp.cli.common import JsonOption, Outcome, run
+from thetacomp.extras import require
 
 
 def twin(
@@ -26,6 +27,7 @@ def twin(
 
 
 def _work(out: Path, preset: str, seed: int, campaigns: int, places: Path | None, strategy: str) -> Outcome:
+    require("twin")
     from thetatwin.campaigns import make_twin, plan_campaigns
     from thetatwin.conditions import load_conditions
     from thetatwin.description import load_description
