@@ -61,6 +61,12 @@ def output_table(out: Path, inputs: Iterable[Path] = ()) -> Iterator[None]:
 
 def _resolved(out: Path) -> Path:
     place = Path(os.path.realpath(out))
+    try:
+        place.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return place
+    except OSError as exc:
+        raise not_written(out, exc) from None
     if place.is_symlink():
         raise OutputError(out, "it is a link that leads back to itself.", "name another place.")
     return place
