@@ -51,7 +51,7 @@ def write_file(path: Path, content: str | bytes) -> Path:
         except BaseException:
             beside.unlink(missing_ok=True)
             raise
-        flush_folder(target.parent)
+        flush(target.parent)
     except OSError as exc:
         raise not_written(path, exc) from None
     return path
@@ -81,10 +81,10 @@ def not_written(path: Path, exc: OSError) -> OutputError:
     return OutputError(path, f"not written, {what}. What was there before is unchanged.", fix)
 
 
-def flush_folder(folder: Path) -> None:
-    """Make the names in a folder durable. Systems that cannot open a folder need no such thing."""
+def flush(path: Path) -> None:
+    """Make a file, or the names in a folder, durable. Systems that cannot open a folder need no such thing."""
     try:
-        handle = os.open(folder, os.O_RDONLY)
+        handle = os.open(path, os.O_RDONLY)
     except OSError:
         return
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import shutil
 import sys
@@ -12,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from thetacomp.errors import OutputError
-from thetacomp.files import UNFINISHED, beside_name, flush_folder, not_written
+from thetacomp.files import UNFINISHED, beside_name, flush, not_written
 
 _REPLACED = ".thetacomp-old"
 _LOCK = ".thetacomp-lock"
@@ -54,7 +55,9 @@ def _locked(path: Path, place: Path) -> int:
             import fcntl
 
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except OSError as exc:
+        if exc.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
+            return handle  # a disk over the network that knows no locks
         os.close(handle)
         raise OutputError(
             place, "another run of thetacomp is writing here.", "wait until it ends, or name another place."
@@ -90,6 +93,9 @@ def fresh_folder(place: Path, own: Sequence[str]) -> Iterator[Path]:
                 shutil.copymode(place, fresh)
             _flush_all(fresh)
             _exchange(fresh, place, old)
+            for left in (fresh, old):
+                if left.exists():  # the folder of before: what came to it in the last moment stays too
+                    carry_over(left, place, own)
     finally:
         # After the exchange the name of the fresh folder holds the old one.
         for left in (fresh, old):
@@ -125,6 +131,7 @@ def carry_over(old: Path, fresh: Path, own: Sequence[str], below: str = "") -> N
                 os.link(entry.path, target)
             except OSError:
                 shutil.copy2(entry.path, target)
+                flush(target)
 
 
 def _exchange(fresh: Path, place: Path, old: Path) -> None:
@@ -134,7 +141,7 @@ def _exchange(fresh: Path, place: Path, old: Path) -> None:
     elif not _swap(fresh, place):
         place.rename(old)
         fresh.rename(place)
-    flush_folder(place.parent)
+    flush(place.parent)
 
 
 def _swap(a: Path, b: Path) -> bool:
@@ -147,7 +154,7 @@ def _swap(a: Path, b: Path) -> bool:
 
 def _flush_all(folder: Path) -> None:
     for root, _, _ in os.walk(folder):
-        flush_folder(Path(root))
+        flush(Path(root))
 
 
 def _remove(left: Path) -> None:

@@ -327,3 +327,27 @@ def test_an_export_is_no_end_of_the_model_beside_it(tmp_path: Path, asked: list[
     sheet.write_bytes(before)
     assert "would be replaced" in refused("export", sheet, "--target", "sinumerik", "--out", model.parent)
     assert sheet.read_bytes() == before
+
+
+def test_what_comes_in_the_last_moment_stays_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, real = tmp_path / "results", folder_exchange._swap
+    fill(out, FIRST)
+
+    def late(a: Path, b: Path) -> bool:
+        (out / "late.txt").write_text("late")
+        return real(a, b)
+
+    monkeypatch.setattr(folder_exchange, "_swap", late)
+    fill(out, SECOND)
+    assert contents(out) == {**SECOND, "late.txt": "late"}
+
+
+def test_where_a_disk_knows_no_second_names_files_are_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_links(*arguments: object, **options: object) -> None:
+        raise OSError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", no_links)
+    fill(tmp_path / "results", FIRST)
+    files.write_files(tmp_path / "results", MINE)
+    fill(tmp_path / "results", SECOND)
+    assert contents(tmp_path / "results") == {**SECOND, **MINE}
