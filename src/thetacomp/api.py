@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,10 +22,12 @@ from thetacomp.campaign import MachineFolder
 from thetacomp.controllers.targets import TARGETS
 from thetacomp.errors import AnalysisError
 from thetacomp.extras import require
+from thetacomp.files import Files, write_files
 from thetacomp.model import document
 from thetacomp.model.prediction import Prediction, Reference, predict
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.volumetric import VolumePrediction, predict_volume
+from thetacomp.outputs import output_folder
 from thetacomp.reading import Positions, read_duty, read_folder, read_frames, read_positions, read_temperatures
 from thetacomp.reading.lone import LoneTable
 from thetacomp.verification import verify_folder
@@ -170,20 +172,18 @@ class Analysis:
         require("pandas")
         import pandas as pd
 
-        from thetacomp.report.analysis_files import write_tables
+        from thetacomp.report.analysis_files import table_files
 
-        with TemporaryDirectory() as folder:
-            files = {path.stem: path for path in write_tables(self.result, Path(folder)) if path.suffix == ".csv"}
-            if name not in files:
-                raise AnalysisError(f"this analysis has no table '{name}'. Fix: one of {', '.join(files)}.")
-            return pd.read_csv(files[name])
+        tables = {Path(file).stem: text for file, text in table_files(self.result).items() if file.endswith(".csv")}
+        if name not in tables:
+            raise AnalysisError(f"this analysis has no table '{name}'. Fix: one of {', '.join(tables)}.")
+        return pd.read_csv(StringIO(str(tables[name])))
 
     def save(self, out: Path | str) -> tuple[Path, ...]:
         """Write model.json, the tables, report.html and the figures into a folder; returns the paths."""
-        from thetacomp.report import write_report
-        from thetacomp.report.analysis_files import write_tables
+        from thetacomp.report.analysis_files import OWN, analysis_files
 
-        return write_tables(self.result, Path(out)) + write_report(self.result, Path(out))
+        return _folder(Path(out), OWN, analysis_files(self.result))
 
     def __repr__(self) -> str:
         return repr(self.result)
@@ -207,9 +207,9 @@ class Verification:
 
     def save(self, out: Path | str) -> tuple[Path, ...]:
         """Write verification.html, tables and figures into a folder; returns the paths, the page first."""
-        from thetacomp.report.verification import write_verification
+        from thetacomp.report.verification import OWN, verification_files
 
-        return write_verification(self.result, Path(out))
+        return _folder(Path(out), OWN, verification_files(self.result))
 
     def __repr__(self) -> str:
         r = self.result
@@ -272,13 +272,19 @@ def export(
     `settings` is the path of an export.toml. Raises InputError for bad settings, AnalysisError where nothing can be
     exported or the target is unknown.
     """
+    from thetacomp.report.export import OWN, export_files
+
     if target not in TARGETS:
         raise AnalysisError(f"this version writes {', '.join(TARGETS)}, not '{target}'.")
-    made = TARGETS[target](_model(model).document, None if settings is None else Path(settings))
-    Path(out).mkdir(parents=True, exist_ok=True)
-    for file in made.files:
-        (Path(out) / file.name).write_text(file.text, encoding="utf-8", newline="\n")
-    return tuple(Path(out) / file.name for file in made.files)
+    made = export_files(_model(model).document, target, None if settings is None else Path(settings))
+    return _folder(Path(out), OWN, {file.name: file.text for file in made.files})
+
+
+def _folder(out: Path, own: Sequence[str], files: Files) -> tuple[Path, ...]:
+    """Write the files of a folder as the commands do: whole or not at all. Raises OutputError."""
+    with output_folder(out, own=own) as fresh:
+        write_files(fresh, files)
+    return tuple(out / name for name in files)
 
 
 def _model(model: Model | Path | str) -> Model:

@@ -14,6 +14,7 @@ from synthetic_analysis import sweeps_analysis
 from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
+from thetacomp.files import write_files
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.preparation import Prepared
 from thetacomp.screening import Finding
@@ -23,7 +24,7 @@ from thetatwin.conditions import Tracker
 from thetatwin.hall import DAY_S
 from thetatwin.trial.figures import month_by_month
 from thetatwin.trial.monthly import TOOL, acceptance, by_hour, monthly
-from thetatwin.trial.page import _Told, write_trial
+from thetatwin.trial.page import _Told, trial_files
 from thetatwin.trial.probing import Course, adapt
 from thetatwin.trial.readings import ScreenedMonth, ScreenedYear
 from thetatwin.trial.run import (
@@ -268,7 +269,7 @@ def test_a_short_trial_from_end_to_end(twin: Twin, tmp_path: Path) -> None:
     assert tool[ADAPTIVE].reduction_percent > 75.0
     assert tool[FROZEN].reduction_percent > 70.0
     assert tool[ADAPTIVE].reduction_percent > tool[ONE_SENSOR].reduction_percent + 5.0
-    paths = write_trial(trial, rows, acceptance(rows), tmp_path / "out")
+    paths = write_files(tmp_path / "out", trial_files(trial, rows, acceptance(rows)))
     with paths[1].open(encoding="utf-8") as file:
         assert len(list(csv.DictReader(file))) == 1 * 6 * 4
     page = paths[0].read_text(encoding="utf-8")
