@@ -77,7 +77,7 @@ import importlib, pkgutil, sys
 
 ALLOWED = {"numpy", "pydantic", "structlog"}
 ALLOWED |= {"pydantic_core", "annotated_types", "typing_extensions", "typing_inspection"}  # what pydantic brings
-ROOMS = {"thetacomp.model", "thetacomp.controllers", "thetacomp.machine", "thetacomp.errors", "thetacomp.arrays"}
+ROOMS = {"thetacomp." + name for name in ("model", "controllers", "machine", "errors", "arrays", "files", "names")}
 
 class Blocked:
     def find_spec(self, name, path=None, target=None):
