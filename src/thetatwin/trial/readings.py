@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.arrays import Floats
-from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.campaign import MachineFolder
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening
-from thetacomp.screening.campaigns import screened
 from thetatwin.hall import DAY_S
 from thetatwin.year import LEAD_DAYS, Readings
 
@@ -60,11 +59,6 @@ def as_read(sensor_ids: Sequence[str], months: Sequence[Readings]) -> ScreenedYe
         (),
         judged=False,
     )
-
-
-def screened_training(folder: MachineFolder) -> MachineFolder:
-    """The training campaigns as `analyze` uses them."""
-    return screened(folder, [campaign.name for campaign in folder.campaigns]).folder
 
 
 def screening_model(folder: MachineFolder) -> ScreeningModel:
@@ -121,24 +115,6 @@ def _month(
 ) -> ScreenedMonth:
     rows = (t_s >= begin_s) & (t_s <= end_s)
     return ScreenedMonth(Temperatures(t_s[rows], ids, used[rows]), out[rows])
-
-
-def without_sensors(folder: MachineFolder, lost: Sequence[str]) -> MachineFolder:
-    """The folder as if some sensors had never been read."""
-    return replace(folder, campaigns=tuple(_unread(campaign, lost) for campaign in folder.campaigns))
-
-
-def _unread(campaign: Campaign, lost: Sequence[str]) -> Campaign:
-    before = campaign.before
-    if before is not None:
-        before = replace(before, temperatures=dropped(before.temperatures, lost))
-    return replace(campaign, temperatures=dropped(campaign.temperatures, lost), before=before)
-
-
-def dropped(table: Temperatures, lost: Sequence[str]) -> Temperatures:
-    """A table without the columns of some sensors."""
-    kept = [j for j, name in enumerate(table.sensor_ids) if name not in lost]
-    return Temperatures(table.t_s, tuple(table.sensor_ids[j] for j in kept), table.value_degC[:, kept])
 
 
 def used_sensors(model: ModelDocument) -> frozenset[str]:
