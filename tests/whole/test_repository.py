@@ -77,6 +77,7 @@ import importlib, pkgutil, sys
 ALLOWED = {"numpy", "pydantic", "structlog"}
 ALLOWED |= {"pydantic_core", "annotated_types", "typing_extensions", "typing_inspection"}  # what pydantic brings
 ROOMS = {"thetacomp.model", "thetacomp.controllers", "thetacomp.machine", "thetacomp.errors", "thetacomp.arrays"}
+ROOMS |= {"thetacomp.files", "thetacomp.table_file", "thetacomp.names"}
 
 class Blocked:
     def find_spec(self, name, path=None, target=None):

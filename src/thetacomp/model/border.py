@@ -1,7 +1,7 @@
 """Whether a model may be believed at this moment: one distance from range and leverage. Numpy only.
 
 The distance is 1 at the border of what the training campaigns showed. Outside the prediction fades towards a prior,
-see `models.fade`.
+see `fade`.
 """
 
 from __future__ import annotations

@@ -174,7 +174,6 @@ class ModelDocument(Strict):
     drift), the models on heat history; where an axis has one, it is what a prediction uses. `failed_checks` names the
     acceptance checks that the model in use failed, `failed_static_checks` those that `components` failed, where these
     are not what is in use: whoever uses one of them must see its own.
-    `failed_checks` names the acceptance checks that the model failed: whoever uses it must see them.
 
     `form`: in the "joint" form the components `DX`, `DY`, `DZ` hold the drift of all axes and every `E..` is zero at
     its P0, with the tool of `tool_length_mm`; `axes` then stand in the order from the workpiece to the tool. In the
@@ -198,16 +197,15 @@ class ModelDocument(Strict):
     fallbacks: tuple[Fallback, ...] = ()
     history: dict[str, HistoryAxis] = Field(default_factory=dict)
     failed_static_checks: tuple[str, ...] = ()
+    form: Literal["separate", "joint"] = "separate"
+    length: WantedLength = WantedLength()
+    tool_length_mm: float = 0.0
+    rotations: dict[str, Component] = Field(default_factory=dict)
 
     @property
     def failed_export_checks(self) -> tuple[str, ...]:
         """The acceptance checks that `components` failed: what stands in the way of handing them to a control."""
         return self.failed_static_checks if self.history else self.failed_checks
-
-    form: Literal["separate", "joint"] = "separate"
-    length: WantedLength = WantedLength()
-    tool_length_mm: float = 0.0
-    rotations: dict[str, Component] = Field(default_factory=dict)
 
     def to_json(self) -> str:
         """The document as indented JSON text, rows of numbers on one line, non-ASCII letters kept readable."""

@@ -1,7 +1,7 @@
 """Changing the model while the machine runs: the fallback for lost sensors, and a switch without a bump.
 
 At the switch the difference of the two models is kept as an offset, so the output goes on from where it was. The
-offset decays slowly, or stays until the next probe, which takes it over (`adaptation.absorb`). Time is an argument.
+offset decays slowly, or stays until a probe measures the error anew. Time is an argument.
 """
 
 from __future__ import annotations

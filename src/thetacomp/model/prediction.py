@@ -119,8 +119,7 @@ def predict(
 
 def workpiece_degC(model: ModelDocument, temperatures: Temperatures, t_s: Floats) -> Floats:
     """Temperature of the workpiece at moments (n,). Raises AnalysisError where its sensor has no column."""
-    (column,) = _columns(temperatures, (model.length.workpiece_sensor or "",))
-    return sampled(temperatures, t_s)[:, column]
+    return temperatures.select((model.length.workpiece_sensor or "",)).unbridged_at(t_s)[:, 0]
 
 
 def _follow_workpiece(model: ModelDocument, temperatures: Temperatures, table: _Table) -> None:
@@ -198,9 +197,9 @@ class _Table:
 
 def _predict_static(model: ModelDocument, temperatures: Temperatures, reference: Reference, table: _Table) -> None:
     inputs = tuple(dict.fromkeys(sensor for component in model.components.values() for sensor in component.inputs))
-    columns = _columns(temperatures, inputs)
-    bound = laws(model, _reference_degC(temperatures, inputs, columns, reference))
-    degC = dict(zip(inputs, sampled(temperatures, table.positions.t_s)[:, columns].T, strict=True))
+    read = temperatures.select(inputs)
+    bound = laws(model, _reference_degC(read, reference))
+    degC = dict(zip(inputs, read.unbridged_at(table.positions.t_s).T, strict=True))
     for law in bound.values():
         rows = table.rows(law.component.axis)
         position_mm = table.positions.position_mm[rows]
@@ -233,37 +232,20 @@ def history_law(
 
     The filters start at rest on the first row. Raises AnalysisError for a missing sensor, speed or reference.
     """
-    _columns(temperatures, axis.layout.sensors)
     if not axis.layout.speed_powers:
         duty = None
     _check_duty_clock(temperatures, duty)
-    clock_s, inputs = recorded_inputs(axis.layout, [(temperatures, duty)])
+    clock_s, inputs = recorded_inputs(axis.layout, temperatures, duty)
     recorded = Temperatures(clock_s, tuple(str(j) for j in range(inputs.shape[1])), inputs)
     if reference == "model":
         zero = np.array(axis.reference.inputs)
     else:
         at_s = _reference_s(temperatures, reference)
-        zero = sampled(recorded, np.array([at_s]))[0]
+        zero = recorded.unbridged_at(np.array([at_s]))[0]
         lacking = [s for s, value in zip(axis.layout.sensors, zero, strict=False) if not np.isfinite(value)]
         _refuse_missing_reference(lacking, at_s)
-    values = sampled(recorded, t_s)
+    values = recorded.unbridged_at(t_s)
     return HistoryLaw(axis, HistoryMoments(values - zero, values[:, : len(axis.layout.sensors)]))
-
-
-def sampled(temperatures: Temperatures, t_s: Floats) -> Floats:
-    """Temperatures at other times, shape (len(t_s), sensors): linear between two samples that both exist, else NaN.
-
-    After the last sample it holds for one sampling interval (the median one), no longer: a logger that stopped must
-    not look like a machine that stays warm.
-    """
-    clock = temperatures.t_s
-    after = np.clip(np.searchsorted(clock, t_s, side="left"), 0, len(clock) - 1)
-    before = np.where((clock[after] > t_s) & (after > 0), after - 1, after)
-    step_s = np.where(after > before, clock[after] - clock[before], 1.0)
-    share = np.where(after > before, (t_s - clock[before]) / step_s, 0.0)[:, None]
-    value = temperatures.value_degC[before] * (1.0 - share) + temperatures.value_degC[after] * share
-    value[(t_s < clock[0]) | (t_s > clock[-1] + _interval_s(temperatures))] = np.nan
-    return value
 
 
 def write_prediction(prediction: Prediction, path: Path) -> None:
@@ -327,16 +309,6 @@ def _check_axes(
             raise AnalysisError(f"{place(i)}: axis {name} without a position_mm. Fix: fill in the position.")
 
 
-def _columns(temperatures: Temperatures, inputs: tuple[str, ...]) -> list[int]:
-    lacking = [sensor for sensor in inputs if sensor not in temperatures.sensor_ids]
-    if lacking:
-        raise AnalysisError(
-            f"temperatures: no column {', '.join(lacking)}, which the model needs as an input;"
-            f" found {', '.join(temperatures.sensor_ids)}. Fix: add the column, or give it the name used in training."
-        )
-    return [temperatures.sensor_ids.index(sensor) for sensor in inputs]
-
-
 def _check_times(temperatures: Temperatures, positions: PositionTable, place: Callable[[int], str]) -> None:
     if not len(temperatures.t_s):
         raise AnalysisError("temperatures: the table has no rows. Fix: give the samples of the time wanted.")
@@ -348,7 +320,7 @@ def _check_times(temperatures: Temperatures, positions: PositionTable, place: Ca
             f" temperature sample at t_s = {_plain(first_s)} ({len(early)} such rows)."
             " Fix: bring both tables to the same clock, or start the temperatures earlier."
         )
-    if len(positions.t_s) and (positions.t_s > last_s + _interval_s(temperatures)).all():
+    if len(positions.t_s) and (positions.t_s > last_s + temperatures.interval_s).all():
         raise AnalysisError(
             f"positions: all rows lie after the last temperature sample at t_s = {_plain(last_s)}."
             " Fix: bring both tables to the same clock, or let the temperatures go on longer."
@@ -367,20 +339,14 @@ def _check_duty_clock(temperatures: Temperatures, duty: Duty | None) -> None:
         )
 
 
-def _interval_s(temperatures: Temperatures) -> float:
-    return float(np.median(np.diff(temperatures.t_s))) if len(temperatures.t_s) > 1 else 0.0
-
-
-def _reference_degC(
-    temperatures: Temperatures, inputs: tuple[str, ...], columns: list[int], reference: Reference
-) -> dict[str, float] | None:
+def _reference_degC(inputs: Temperatures, reference: Reference) -> dict[str, float] | None:
     """Temperatures of the inputs at the moment of zero; None for the reference stored in the model."""
     if reference == "model":
         return None
-    at_s = _reference_s(temperatures, reference)
-    value = sampled(temperatures, np.array([at_s]))[0, columns]
-    _refuse_missing_reference([s for s, degC in zip(inputs, value, strict=True) if not np.isfinite(degC)], at_s)
-    return dict(zip(inputs, value.tolist(), strict=True))
+    at_s = _reference_s(inputs, reference)
+    value = dict(zip(inputs.sensor_ids, inputs.unbridged_at(np.array([at_s]))[0].tolist(), strict=True))
+    _refuse_missing_reference([sensor for sensor, degC in value.items() if not np.isfinite(degC)], at_s)
+    return value
 
 
 def _reference_s(temperatures: Temperatures, reference: Reference) -> float:

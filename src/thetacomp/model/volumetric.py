@@ -1,6 +1,6 @@
 """Volumetric prediction: the thermal error at any position of all axes, from a stored model in the joint form.
 
-All values come from `prediction.predict`, whatever family a component is of; `compensation.volume` puts them together.
+All values come from `prediction.predict`, whatever family a component is of; `volume` puts them together.
 """
 
 from __future__ import annotations

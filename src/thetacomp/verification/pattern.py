@@ -20,7 +20,6 @@ from thetacomp.model.prediction import predict
 from thetacomp.model.volumetric import predict_volume
 from thetacomp.separation import ComponentSeparation
 from thetacomp.states import AxisStates
-from thetacomp.temperature.history_track import unbroken
 
 Expected = tuple[Floats, Floats]
 
@@ -90,7 +89,7 @@ def model_pattern(
 def _at(model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s: Floats, position_mm: float) -> Floats:
     """Predicted error at one position less its mean over the cold block, (n,)."""
     times = np.concatenate([own.zero_t_s, t_s])
-    temperatures, duty = unbroken(campaign)
+    temperatures, duty = campaign.recording()
     # A tracker measures true metres, whatever length the parts shall have.
     model = model.model_copy(update={"length": WantedLength()})
     zero_s = float(own.zero_t_s.mean())
