@@ -46,10 +46,10 @@ from thetacomp.controllers.sinumerik_replay import (
     CampaignReplay,
     replay_campaign,
 )
-from thetacomp.controllers.sinumerik_sheet import commissioning_sheet
 from thetacomp.controllers.sinumerik_signtest import sign_tests
 from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument
+from thetacomp.report.commissioning import commissioning_sheet
 
 T = {"t": 20.0}
 
