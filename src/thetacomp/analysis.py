@@ -19,7 +19,7 @@ from thetacomp.fitting.lost_sensors import with_fallbacks
 from thetacomp.fitting.procedures import key_point_procedure, paper_procedure
 from thetacomp.fitting.rotations import with_form
 from thetacomp.mixtures import refuse_mixtures
-from thetacomp.model.document import HistoryAxis
+from thetacomp.model.document import AxisLaw
 from thetacomp.screening.campaigns import screened
 from thetacomp.sensors.parameters import correlation_tables, parameter_table
 from thetacomp.sensors.sensor_curve import sensor_curves
@@ -108,17 +108,19 @@ def analyze_folder(
     )
 
     progress("validating on held-out data")
-    residuals, rows, held_out, fold_notes = _validate(folder, everything, test, fitted, model.history, procedure, paper)
+    residuals, rows, held_out, fold_notes = _validate(
+        folder, everything, test, fitted, model.prediction, procedure, paper
+    )
     permutations = _permutations(training, procedure)
     judged = [r for r in residuals if r.split != FORWARD]
     judged_rows = [row for row in rows if row.split != FORWARD]
     acceptance = acceptance_checks(judged, judged_rows, permutations, model)
-    static = acceptance_of_static_law(judged, judged_rows, permutations, model) if model.history else ()
+    static = acceptance_of_static_law(judged, judged_rows, permutations, model) if model.prediction else ()
     notes += fold_notes + _clock_notes(judged_rows)
     model = with_verdict(model, judged_rows, _failed(acceptance), _failed(static), notes)
     curves = sensor_curves(training, progress)
     compared, compare_notes = (
-        _compare(folder, everything, test, model.history, procedure, rows, progress) if compare else ((), ())
+        _compare(folder, everything, test, model.prediction, procedure, rows, progress) if compare else ((), ())
     )
     parameter_correlations, sensor_correlations = correlation_tables([parameter_table(s) for s in training])
     return Analysis(
@@ -175,7 +177,7 @@ def _fit_history(
     everything: Sequence[AxisStates],
     training: Sequence[AxisStates],
     test: Sequence[str],
-) -> tuple[HistoryAxis, ...]:
+) -> tuple[AxisLaw, ...]:
     """Models on heat history for the axes that have enough campaigns to choose everything inside and to hold out."""
     enough = {s.axis for s in everything if _has_history(s, _main_folds(s, test))}
     return tuple(
@@ -237,7 +239,7 @@ def _validate(
     everything: Sequence[AxisStates],
     test: Sequence[str],
     fitted: Sequence[tuple[AxisStates, AxisModel]],
-    history: Mapping[str, HistoryAxis],
+    history: Mapping[str, AxisLaw],
     procedure: Procedure,
     paper: Procedure,
 ) -> tuple[list[Residuals], tuple[ValidationRow, ...], tuple[HeldOutStates, ...], tuple[str, ...]]:
@@ -275,7 +277,7 @@ def _compare(
     folder: MachineFolder,
     everything: Sequence[AxisStates],
     test: Sequence[str],
-    history: Mapping[str, HistoryAxis],
+    history: Mapping[str, AxisLaw],
     procedure: Procedure,
     rows: Sequence[ValidationRow],
     progress: Progress,

@@ -29,7 +29,7 @@ def export(
 
 def _export(model_path: Path, target: str, out: Path, settings: Path | None, replay: Path | None) -> Outcome:
     from thetacomp.controllers.targets import TARGETS
-    from thetacomp.model.document import load_model
+    from thetacomp.model.load import load_model
 
     if target not in TARGETS:
         text = f"error: this version writes {', '.join(TARGETS)}, not '{target}'. Fix: --target {next(iter(TARGETS))}."

@@ -27,7 +27,7 @@ def verify(
     """Compare runs with compensation off and on; name the cause where the result is a no-go."""
 
     def work() -> Outcome:
-        from thetacomp.model.document import load_model
+        from thetacomp.model.load import load_model
         from thetacomp.reading import read_folder
         from thetacomp.report.verification import write_verification
         from thetacomp.verification import verify_folder

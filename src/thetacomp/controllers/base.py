@@ -15,8 +15,7 @@ from pydantic import ValidationError
 from thetacomp.arrays import Floats
 from thetacomp.errors import InputError, Problem
 from thetacomp.machine import Strict
-from thetacomp.model.document import LinearTerm
-from thetacomp.model.law import Law
+from thetacomp.model.law import ComponentLaw
 
 SettingsT = TypeVar("SettingsT", bound=Strict)
 
@@ -66,13 +65,15 @@ class RegisterLaw:
         return value
 
 
-def register_law(law: Law, term: LinearTerm, scale: float) -> RegisterLaw:
-    """A term of the error's law times `scale`, which carries the sign and the unit of the register."""
+def register_law(one: ComponentLaw, power: int, scale: float) -> RegisterLaw:
+    """What a power of u carries in the error's law times `scale`, which holds the sign and the unit of the register."""
+    term = one.component.terms[power]
+    used = [j for j, coefficient in enumerate(term.coefficients) if coefficient]
     return RegisterLaw(
-        constant=scale * term.constant if law.keeps_constant else 0.0,
-        sensors=law.inputs,
-        factors=tuple(scale * coefficient for coefficient in term.coefficients_per_K),
-        reference_degC=tuple(law.reference_degC.tolist()),
+        constant=scale * term.constant if one.law.keeps_constant else 0.0,
+        sensors=tuple(one.inputs[j] for j in used),
+        factors=tuple(scale * term.coefficients[j] for j in used),
+        reference_degC=tuple(float(one.law.zero[j]) for j in used),
     )
 
 

@@ -382,23 +382,25 @@ def _known(plan: Plan) -> str:
 
 
 def _limits(plan: Plan) -> str:
-    model, rises = plan.model, plan.model.training.range_rise_K
+    model = plan.model
+    ranges, rises = model.trained.temperature_degC, model.trained.rise_K
     rows = [
         [
             name,
-            ", ".join(c.inputs) or "none: not compensated",
-            f"{c.p_min_mm:g} … {c.p_max_mm:g}" if c.p_min_mm is not None and c.p_max_mm is not None else "fixed",
+            ", ".join(law.layout.sensors) if c.predicted else "none: not compensated",
+            "fixed" if law.p_min_mm is None else f"{law.p_min_mm:g} … {law.p_max_mm:g}",
             str(c.states),
             *(_one_decimal(c.held_out_um) if c.held_out_um else ("–", "–", "–")),
             f"{c.residual_um[0]:.1f}",
             f"{c.residual_um[1]:.1f}",
         ]
-        for name, c in model.components.items()
+        for law in model.control.values()
+        for name, c in law.components.items()
     ]
     sensors = [
         [
             s,
-            *_one_decimal(model.training.range_degC.get(s, model.length.workpiece_degC)),
+            *_one_decimal(ranges.get(s, model.length.workpiece_degC)),
             *(_one_decimal(rises[s]) if s in rises else ("–", "–")),
         ]
         for s in plan.grid_degC

@@ -23,7 +23,7 @@ from thetacomp.fitting.key_point_law import AxisModel, Procedure
 from thetacomp.fitting.lost_sensors import with_fallbacks
 from thetacomp.fitting.procedures import key_point_procedure, paper_procedure
 from thetacomp.fitting.rotations import with_form
-from thetacomp.model.document import HistoryAxis, ModelDocument
+from thetacomp.model.document import AxisLaw, ModelDocument
 from thetacomp.screening.campaigns import screened
 from thetacomp.separation import Separated, separate_all
 from thetacomp.states import DRIFT, AxisStates, axis_states
@@ -92,7 +92,7 @@ def _document(
     fitted: Fitted,
     method: str,
     fallbacks: Sequence[AxisFallback],
-    history: Sequence[HistoryAxis],
+    history: Sequence[AxisLaw],
 ) -> ModelDocument:
     plain = build_document(taught.folder, fitted, method, taught.train, (), fallbacks, history)
     return with_form(plain, taught.folder, taught.separated, fitted, taught.train)

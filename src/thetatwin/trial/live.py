@@ -61,7 +61,7 @@ def live_error_um(
     """What the machine takes for its error at n moments and positions of all axes, (n, 3) in µm.
 
     Zero where the model has no such component. When a sensor is lost the fallback goes on from where the output was;
-    the difference decays as `compensation.switch` says. Raises AnalysisError as `predict_volume` does.
+    the difference decays as `fallback.carry_over` says. Raises AnalysisError as `predict_volume` does.
     """
     begins = [(-np.inf, frozenset[str]()), *live.lost]
     ends = [*(begin_s for begin_s, _ in live.lost), np.inf]
@@ -94,7 +94,7 @@ def _error_um(
 ) -> Floats:
     """Prediction (n, 3) of the model for the sensors that are left."""
     rest = degraded(model, lost).model if lost else model
-    known = {component.axis for component in rest.components.values()}
+    known = set(rest.in_use)
     if not len(t_s) or not known:
         return np.zeros((len(t_s), 3))
     kept = [j for j, name in enumerate(live.table.sensor_ids) if name not in lost]

@@ -143,5 +143,5 @@ def dropped(table: Temperatures, lost: Sequence[str]) -> Temperatures:
 
 def used_sensors(model: ModelDocument) -> frozenset[str]:
     """All sensors that a model reads."""
-    history = {name for axis in model.history.values() for name in axis.layout.sensors}
-    return frozenset(history | {name for component in model.components.values() for name in component.inputs})
+    laws = (*model.prediction.values(), *model.control.values())
+    return frozenset(name for law in laws for name in law.layout.sensors)

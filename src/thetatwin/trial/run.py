@@ -16,7 +16,7 @@ from thetacomp.arrays import CARTESIAN, Floats, Ints
 from thetacomp.campaign import Campaign, LeadIn, MachineFolder
 from thetacomp.fitting.key_point_law import clock
 from thetacomp.model.document import ModelDocument
-from thetacomp.model.fallback import Carried, switch
+from thetacomp.model.fallback import Carried, carry_over
 from thetacomp.model.prediction import Prediction, predict
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading import read_folder
@@ -218,7 +218,7 @@ def _run(
     """Prediction and half width of its band (n, places, 3), flag of validity (n, places), month by month.
 
     `model` names the model that serves where some sensors are lost. Where it changes, the output goes on from where it
-    was: the difference of the two models decays as `compensation/switch.py` does it.
+    was: the difference of the two models decays as `fallback.carry_over` does it.
     """
     out = _Output(
         np.zeros((len(t_s), len(places), 3)),
@@ -237,7 +237,7 @@ def _run(
         for part, lost in parts:
             own, serving = rows[part], model(lost)
             if running is not None and serving is not running:
-                carried = switch(t_s[own[0]], out.error[own[0] - 1].ravel(), out.error[own[0]].ravel())
+                carried = carry_over(t_s[own[0]], out.error[own[0] - 1].ravel(), out.error[own[0]].ravel())
             running = serving
             if carried is not None:
                 out.error[own] += np.array([carried.at(s) for s in t_s[own]]).reshape(len(own), len(places), 3)
@@ -272,7 +272,7 @@ def _predict(
     out: _Output,
 ) -> None:
     """Fill in what a model says of the moments `rows`, without the sensors that it can do without."""
-    known = {component.axis or "" for component in model.components.values()}
+    known = set(model.in_use)
     table = dropped(month.temperatures, sorted(lost - used_sensors(model)))
     table = replace(table, value_degC=table.at(table.t_s))
     asked = [k for k, place in enumerate(places) if place.axis in known]
