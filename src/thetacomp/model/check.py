@@ -28,6 +28,8 @@ def problems(model: ModelDocument) -> list[str]:
             out.append(f"axes.{axis.name}: a travel beyond {LONGEST_MM / 1e6:g} km")
     if abs(model.tool_length_mm) > LONGEST_MM:
         out.append(f"tool_length_mm: {model.tool_length_mm:g} mm is no tool")
+    if model.form == "joint" and "" not in model.in_use:
+        out.append("the joint form has no drift (DX, DY, DZ)")
     for room in ("control", "prediction", "rotations"):
         laws: Mapping[str, AxisLaw] = getattr(model, room)
         for name, law in laws.items():
@@ -42,7 +44,16 @@ def problems(model: ModelDocument) -> list[str]:
     return out
 
 
-def _law(law: AxisLaw, *, angles: bool = False) -> Iterator[str]:
+def _law(law: AxisLaw, *, angles: bool) -> list[str]:
+    """What is wrong with a law, and with its fallbacks where the law itself is right: they are parts of it."""
+    found = list(_own(law, angles=angles))
+    if not found:
+        for fallback in law.fallbacks:
+            found += [f"fallback for {fallback.lost}: {told}" for told in _fallback(fallback, law, angles)]
+    return found
+
+
+def _own(law: AxisLaw, *, angles: bool) -> Iterator[str]:
     yield from _travel(law)
     inputs, sensors = sum(len(block) for block in law.layout.blocks.values()), len(law.layout.sensors)
     yield from _layout(law.layout)
@@ -58,8 +69,6 @@ def _law(law: AxisLaw, *, angles: bool = False) -> Iterator[str]:
     names = [component.direction for component in law.components.values()]
     if not names or len(set(names)) < len(names):
         yield "no component, or two of one direction"
-    for fallback in law.fallbacks:
-        yield from (f"fallback for {fallback.lost}: {told}" for told in _fallback(fallback, law, angles))
 
 
 def _travel(law: AxisLaw) -> Iterator[str]:

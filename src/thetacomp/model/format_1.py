@@ -271,7 +271,7 @@ def _check_sizes(name: str, one: _Component, training: _Training) -> None:
 
 def _static_leverage(one: _Component, sensors: Sequence[str]) -> Leverage:
     """The leverage of the regression: covariance over residual variance, the same for both terms of a real fit."""
-    found = [_unscaled(term) for term in one.terms.values() if term.residual_sd > 0]
+    found = [_unscaled(term) for term in one.terms.values() if term.residual_sd > 1e-9]
     if not found:
         # No scatter, no band: whatever the leverage is, it widens nothing.
         found = [np.zeros((len(one.inputs) + 1, len(one.inputs) + 1))]
