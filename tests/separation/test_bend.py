@@ -13,7 +13,7 @@ import rigid_machine
 from known_machine import measured_campaign
 from rigid_machine import P0_MM, STAND_MM, draw_rigid, measure
 from scipy import stats
-from test_default_model import LAG_S, MACHINE, NOISE_UM, folder
+from slow_column import LAG_S, MACHINE, NOISE_UM, folder
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis

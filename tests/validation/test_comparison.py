@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_default_model import folder as slow_column
+from slow_column import folder as slow_column
 from typer.testing import CliRunner
 
 from thetacomp.analysis import analyze_folder
@@ -37,7 +37,7 @@ NAMES = list(BY_NAME)
 
 @cache
 def states_of(*seeds: int) -> AxisStates:
-    """The machine of test_default_model: the error follows sensor a by an hour, so rises alone explain most of it."""
+    """The slow column: the error follows sensor a by an hour, so rises alone explain most of it."""
     folder = slow_column(*seeds)
     separations = separate_all(folder.machine, folder.campaigns).components
     (states,) = axis_states(folder, separations, [c.name for c in folder.campaigns])
