@@ -56,11 +56,13 @@ class Leverage:
         """
         centre, inverse_scale, directions, inverse_moments = self._arrays
         inputs = np.asarray(inputs, dtype=np.float64)
-        z = (inputs - centre if from_centre else inputs) * inverse_scale
+        z = (inputs - centre if from_centre and centre.any() else inputs) * inverse_scale
         along = z @ directions.T
         leverage: Floats = (along * along) @ inverse_moments + (self.at_centre if from_centre else 0.0)
         if self.floor is not None:
-            leverage += np.maximum((z * z).sum(axis=1) - (along * along).sum(axis=1), 0.0) / self.floor
+            # einsum squares and adds without an array of the squares
+            outside = np.einsum("ij,ij->i", z, z) - np.einsum("ij,ij->i", along, along)
+            leverage += np.maximum(outside, 0.0) / self.floor
         return leverage
 
     def of_inputs(self, kept: Sequence[int]) -> Leverage:

@@ -22,7 +22,7 @@ from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.wanted_length import follows_workpiece, length_error_um
 
 # Rows that are worked on at once: hundreds of inputs for each must stay in the processor's cache.
-BLOCK = 4096
+BLOCK = 1024
 
 Reference = Literal["first_row", "model"] | float
 
@@ -293,10 +293,11 @@ def breaches_of(seen: Sequence[tuple[NDArray[np.intp], Limit]]) -> tuple[Breach,
         grouped.setdefault((limit.kind, limit.name, limit.trained), []).append((rows, limit))
     out = []
     for (kind, name, trained), parts in grouped.items():
-        outside = np.unique(np.concatenate([rows[~one.inside & np.isfinite(one.value)] for rows, one in parts]))
-        if len(outside):
+        outside = [rows[~one.inside & np.isfinite(one.value)] for rows, one in parts]
+        count = len(outside[0]) if len(parts) == 1 else len(np.unique(np.concatenate(outside)))
+        if count:
             values = np.concatenate([one.value for _, one in parts])
-            out.append(Breach(kind, name, len(outside), (float(np.nanmin(values)), float(np.nanmax(values))), trained))
+            out.append(Breach(kind, name, count, (float(np.nanmin(values)), float(np.nanmax(values))), trained))
     return tuple(out)
 
 
