@@ -4,7 +4,7 @@ Two compensations, each fitted on healthy campaigns other than the one under tes
 on five sensors with the faulty one among them, and `heat history`, the averaged block ridge on all sensors. The error
 from the begin of the fault to the end of the campaign, after repair, is divided by the error on the healthy table over
 the same time. Where the screening calls the sensor lost, the fallback without it takes over, and the difference of the
-two models at the switch decays as in compensation/switch.py. `offline` screens the whole record; `live` uses the
+two models at the switch decays as in model/fallback.py. `offline` screens the whole record; `live` uses the
 verdicts sample by sample, from the first verdict on. Also: false alarms on healthy records, per month of 720 h, where
 every finding counts, a spike too.
 
@@ -90,8 +90,7 @@ class History:
 
     def predict(self, record: Record, value_degC: Floats, base: Floats) -> Floats:
         """Errors (n, targets); NaN where a sensor of the model is missing."""
-        ids = record.temperatures.sensor_ids
-        value = value_degC[:, [ids.index(name) for name in self.layout.sensors]]
+        value = replace(record.temperatures, value_degC=value_degC).select(self.layout.sensors).value_degC
         inputs = history_inputs(self.layout, record.temperatures.t_s, value, record.speed_rpm)
         return self.ridge.predict(rise_since(inputs, inputs[0]))
 
@@ -186,7 +185,7 @@ def history_model(records: Sequence[Record], without: int | None) -> Fitted:
     x, y, campaign = [], [], []
     for number, record in enumerate(records):
         table = record.temperatures
-        value = table.value_degC[:, [ids.index(name) for name in layout.sensors]]
+        value = table.select(layout.sensors).value_degC
         inputs = history_inputs(layout, table.t_s, value, record.speed_rpm)
         x.append(rise_since(inputs, inputs[0])[::4])
         y.append(rises(record.displacement_um)[::4])

@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from thetacomp.arrays import Floats, Ints
@@ -172,6 +173,30 @@ class Campaign:
     before: LeadIn | None = None
     tracker: TrackerTie | None = None
 
+    def recording(self) -> tuple[Temperatures, Duty | None]:
+        """Temperatures and duty with what came before the campaign as one recording, for filters to run through.
+
+        Sensors come in the order of the campaign. Where nobody logged the duty before, the machine counts as standing
+        still up to the start of the campaign.
+        """
+        own, before = self.temperatures, self.before
+        if before is None or not len(before.temperatures.t_s):
+            return own, self.duty
+        earlier = before.temperatures.select(own.sensor_ids)
+        if self.duty is None:
+            return earlier.joined(own), None
+        past = before.duty or Duty(earlier.t_s[:1], {})
+        # The first entry of a campaign counts from its start, with or without a lead-in.
+        own_s = np.concatenate([np.minimum(self.duty.t_s[:1], own.t_s[0]), self.duty.t_s[1:]])
+        return earlier.joined(own), past.joined(replace(self.duty, t_s=own_s))
+
+    def without_sensors(self, sensors: Collection[str]) -> Campaign:
+        """The campaign as if these sensors had never been read."""
+        before = self.before
+        if before is not None:
+            before = replace(before, temperatures=before.temperatures.without(sensors))
+        return replace(self, temperatures=self.temperatures.without(sensors), before=before)
+
 
 @dataclass(frozen=True)
 class CorrelationTable:
@@ -197,3 +222,7 @@ class MachineFolder:
             if campaign.name == name:
                 return campaign
         raise KeyError(name)
+
+    def without_sensors(self, sensors: Collection[str]) -> MachineFolder:
+        """The folder as if these sensors had never been read."""
+        return replace(self, campaigns=tuple(campaign.without_sensors(sensors) for campaign in self.campaigns))

@@ -55,14 +55,7 @@ class AxisStates:
     and in parameters from elsewhere the cold state is a measurement like any other, and with a common datum there is no
     zero of the campaign's own. `history` (n, k) holds lagged temperatures and speeds as differences from the reference,
     whose own values are `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was
-    read in all campaigns).
-    `intercept_um` and `slope_um_per_m` are (n, c), referred to the cold state of their campaign; `cold_*` (n, c) is
-    what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing values are NaN. `exact_zero` says
-    that S = I = 0 holds exactly at the reference, as in separated sweeps; in drift and in parameters from elsewhere the
-    cold state is a measurement like any other, and with a common datum there is no zero of the campaign's own.
-    `history` (n, k) holds lagged temperatures and speeds as differences from the reference, whose own values are
-    `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was read in all
-    campaigns). `passage` is what the machine went through between the states.
+    read in all campaigns). `passage` is what the machine went through between the states.
     """
 
     axis: str
@@ -224,7 +217,7 @@ def _common_reference_degC(
 
 def _zero_degC(campaign: Campaign, sensors: tuple[str, ...], s: ComponentSeparation) -> Floats:
     """Temperatures (sensors,) while the zero of the errors was measured: both zeros belong to the same moments."""
-    return np.asarray(_by_sensor(campaign, sensors, campaign.temperatures.at(s.zero_t_s)).mean(axis=0))
+    return np.asarray(campaign.temperatures.padded(sensors).at(s.zero_t_s).mean(axis=0))
 
 
 def _campaign_states(
@@ -273,7 +266,7 @@ def _campaign_states(
         p_min_mm=min(s.p_min_mm for s in own),
         p_max_mm=max(s.p_max_mm for s in own),
         exact_zero=zero_degC is None and all(s.exact_zero for s in own),
-        rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
+        rise_K=campaign.temperatures.padded(sensors).at(t_s) - reference,
         reference_degC=np.tile(reference, (n, 1)),
         reference_s=np.full(n, reference_s),
         intercept_um=intercept,
@@ -336,16 +329,6 @@ def _track(
     return track if zero_history is None else replace(track, reference=zero_history)
 
 
-def _by_sensor(campaign: Campaign, sensors: tuple[str, ...], value_degC: Floats) -> Floats:
-    """Columns in the order of the machine's sensors; a sensor that the campaign does not have is NaN."""
-    column = {name: j for j, name in enumerate(campaign.temperatures.sensor_ids)}
-    out = np.full((len(value_degC), len(sensors)), np.nan)
-    for j, name in enumerate(sensors):
-        if name in column:
-            out[:, j] = value_degC[:, column[name]]
-    return out
-
-
 def _samples(
     campaign: Campaign,
     sensors: tuple[str, ...],
@@ -381,7 +364,7 @@ def _samples(
         lever_m=(position - p0_mm) / 1000.0,
         value_um=value,
         elapsed_h=(t_s - s.zero_t_s.mean()) / 3600.0,
-        rise_K=_by_sensor(campaign, sensors, campaign.temperatures.at(t_s)) - reference,
+        rise_K=campaign.temperatures.padded(sensors).at(t_s) - reference,
         noise_sd_um=np.full(len(t_s), noise),
         history=track.at(t_s),
         drift_um=drift,

@@ -19,9 +19,6 @@ from thetacomp.arrays import Floats, Ints
 from thetatwin.description import Material, Patch
 from thetatwin.mesh import AXES, BodyMesh
 
-# Corner order of scikit-fem's reference brick, in our order (x fastest).
-_TO_SKFEM = [0, 4, 2, 1, 6, 5, 3, 7]
-
 
 @dataclass(frozen=True)
 class Scalar:

@@ -171,7 +171,7 @@ def machine_figure(
     figure.draw_without_rendering()  # labels are arranged in pixels: everything must have its place before
     for k, (axes, view) in enumerate(zip(grid, views, strict=True)):
         own = [i for i in range(len(marks)) if home[i] == k]
-        _draw_marks(axes, view, [(marks[i], spots[i] @ view.axes_m, bool(seen[i, k])) for i in own])
+        _draw_marks(axes, [(marks[i], spots[i] @ view.axes_m, bool(seen[i, k])) for i in own])
     return figure
 
 
@@ -266,7 +266,7 @@ def _draw_triad(axes: Axes, view: View, corner: tuple[float, float]) -> None:
         axes.text(corner[0] + 1.25 * tip[0], corner[1] + 1.25 * tip[1], name, fontsize=8, ha="center", va="center")
 
 
-def _draw_marks(axes: Axes, view: View, marks: Sequence[tuple[Mark, Floats, bool]]) -> None:
+def _draw_marks(axes: Axes, marks: Sequence[tuple[Mark, Floats, bool]]) -> None:
     points = np.array([place[:2] for _, place, _ in marks]).reshape(-1, 2)
     pixels = axes.transData.transform(points) if len(points) else points
     point_px = axes.figure.dpi / 72.0

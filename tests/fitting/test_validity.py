@@ -15,7 +15,7 @@ from thetacomp.fitting.border import calibrate_validity
 from thetacomp.fitting.prior import fit_prior
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
 from thetacomp.model.border import Validity
-from thetacomp.model.fade import FADE_PER_S, FADE_START, faded_um, model_weight, step_weight
+from thetacomp.model.fade import FADE_START, faded_um, model_weight
 from thetacomp.model.filters import HistoryLayout
 
 MACHINES = 10
@@ -133,16 +133,6 @@ def test_fade_is_continuous_and_bounded() -> None:
     assert np.max(np.abs(np.diff(weight))) <= 0.01 + 1e-9  # |d weight / d distance| is at most 1
     # a linear model that runs away in proportion to the distance is held at what it says where the fade starts
     assert np.max(np.abs(faded_um(30.0 * distance, np.zeros(5001), weight))) == pytest.approx(30.0 * FADE_START)
-
-
-def test_fade_never_jumps_in_time() -> None:
-    weight, seen = 1.0, [1.0]
-    for _ in range(200):
-        weight = step_weight(weight, 0.2, dt_s=10.0)
-        seen.append(weight)
-    assert np.max(np.abs(np.diff(seen))) <= 10.0 * FADE_PER_S + 1e-12
-    assert seen[-1] == pytest.approx(0.2)
-    assert step_weight(0.2, 1.0, dt_s=10.0) == pytest.approx(0.2 + 10.0 * FADE_PER_S)
 
 
 def rms(values: Floats) -> float:

@@ -14,7 +14,6 @@ from thetacomp.model.adaptation import (
     Change,
     Limits,
     Probe,
-    absorb,
     acknowledge,
     correction_um,
     probe_due,
@@ -144,13 +143,6 @@ def test_a_probe_is_asked_for_by_the_band_not_by_the_error() -> None:
     assert probe_due(quiet, quiet.t_s, 6.0, LIMITS, most_um=5.0)
     # the band at rest, but much time gone: the offset may have wandered
     assert probe_due(quiet, quiet.t_s + 12 * 3600, 2.0, LIMITS, most_um=5.0)
-
-
-def test_a_carried_offset_is_taken_over_without_moving_the_output() -> None:
-    state = life(5, np.full(5, 4.0))[-1].after
-    after, change = absorb(state, 10000.0, -7.5, LIMITS, "sensor theta_3 lost")
-    assert after.offset_um == state.offset_um - 7.5
-    assert change.action == "absorbed"
 
 
 def test_wrong_probes_and_limits_are_refused() -> None:

@@ -17,7 +17,7 @@ from thetacomp.arrays import Floats
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
 from thetacomp.model.document import ModelDocument
-from thetacomp.model.prediction import Reference, predict, sampled
+from thetacomp.model.prediction import Reference, predict
 from thetacomp.model.temperatures import Temperatures
 
 
@@ -96,7 +96,7 @@ def test_a_gap_stays_a_gap_and_the_last_sample_holds_for_one_interval() -> None:
     at = np.array([-1.0, 0.0, 5.0, 10.0, 12.0, 20.0, 29.0, 30.0, 40.0, 41.0])
     nan = float("nan")
     expected = [nan, 20.0, 20.5, 21.0, nan, nan, nan, 23.0, 23.0, nan]
-    np.testing.assert_allclose(sampled(table, at)[:, 0], expected)
+    np.testing.assert_allclose(table.unbridged_at(at)[:, 0], expected)
 
 
 def test_missing_temperature_empties_the_row_and_only_this_axis() -> None:

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thetacomp.campaign import Campaign, CampaignSettings, Drift
+from thetacomp.campaign import Campaign, CampaignSettings, Drift, LeadIn
 from thetacomp.model.filters import HistoryLayout, history_inputs
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.reading.lead_in import with_lead_in
-from thetacomp.temperature.history_track import history_track, unbroken
+from thetacomp.standards.environment import unsettled
+from thetacomp.temperature.history_track import history_track
 
 
 def campaign(t_s: np.ndarray, duty_s: np.ndarray | None = None, **changes: object) -> Campaign:
@@ -57,11 +58,11 @@ def test_without_rows_on_both_sides_nothing_is_parted(t_s: np.ndarray) -> None:
 
 @pytest.mark.parametrize("logged", [True, False])
 def test_filters_run_through_lead_in_and_campaign_as_one_recording(logged: bool) -> None:
-    """Parting changes no input of a model; with `unbroken` a prediction sees what the training saw."""
+    """Parting changes no input of a model; with `recording` a prediction sees what the training saw."""
     t_s = np.arange(-7200.0, 7201.0, 600.0)
     read = with_lead_in(campaign(t_s, t_s if logged else t_s[t_s >= 0]))
     layout = HistoryLayout(sensors=("a", "b"), time_constants_s=(3600.0,), base_degC=20.0)
-    heat, duty = unbroken(read)
+    heat, duty = read.recording()
     assert heat.t_s.tolist() == t_s.tolist()
     assert duty is not None
     row = np.searchsorted(duty.t_s, t_s, side="right") - 1
@@ -74,4 +75,32 @@ def test_filters_run_through_lead_in_and_campaign_as_one_recording(logged: bool)
 
 def test_a_campaign_without_lead_in_is_one_recording_already() -> None:
     whole = campaign(np.arange(0.0, 7201.0, 600.0))
-    assert unbroken(whole) == (whole.temperatures, None)
+    assert whole.recording() == (whole.temperatures, None)
+
+
+def test_columns_of_the_lead_in_go_by_name() -> None:
+    t_s = np.arange(-7200.0, 7201.0, 600.0)
+    read = with_lead_in(campaign(t_s))
+    assert read.before is not None
+    turned = replace(read, before=LeadIn(read.before.temperatures.select(("b", "a"))))
+    np.testing.assert_array_equal(turned.recording()[0].value_degC, campaign(t_s).temperatures.value_degC)
+    assert unsettled(turned, 0.0) == unsettled(read, 0.0)
+
+
+def test_the_first_entry_of_a_campaign_counts_from_its_start_with_or_without_a_lead_in() -> None:
+    """The duty begins 900 s late; nobody logged it before."""
+    t_s, duty_s = np.arange(-7200.0, 7201.0, 600.0), np.array([900.0, 3000.0])
+    _, duty = with_lead_in(campaign(t_s, duty_s)).recording()
+    assert duty is not None
+    assert duty.t_s.tolist() == [-7200.0, 0.0, 3000.0]
+    assert duty.columns["spindle_rpm"].tolist() == [0.0, 1090.0, 1300.0]
+
+
+def test_a_sample_missing_at_the_seam_is_bridged_from_both_sides() -> None:
+    t_s = np.arange(-7200.0, 7201.0, 600.0)
+    whole = campaign(t_s)
+    whole.temperatures.value_degC[t_s == -600.0, 0] = np.nan
+    layout = HistoryLayout(sensors=("a",), time_constants_s=(3600.0,), speed_powers=(), base_degC=20.0)
+    expected = history_inputs(layout, t_s, 20.0 + t_s[:, None] / 1e4)[t_s >= 0]
+    found = history_track(with_lead_in(whole), layout, np.zeros(1)).inputs
+    np.testing.assert_allclose(found, expected, rtol=1e-12)

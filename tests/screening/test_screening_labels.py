@@ -64,6 +64,52 @@ def test_a_displacement_frozen_while_the_machine_cools_is_left_out_and_counted()
     assert labels_note(entries[0], False).endswith("Used as read, for repair is switched off")
 
 
+def turned(campaign: Campaign) -> Campaign:
+    """The campaign with tilts of its own in drift and sweeps: each value is the negative of a displacement."""
+    drift, sweeps = campaign.drift, campaign.sweeps
+    return replace(
+        campaign,
+        drift=None if drift is None else replace(drift, rotation_urad=-drift.error_um[:, ::-1]),
+        sweeps=None if sweeps is None else replace(sweeps, rotation_urad=-sweeps.error_um[:, ::-1]),
+    )
+
+
+@pytest.mark.parametrize("column", [0, 2, 3, 5])
+def test_displacements_and_tilts_of_a_drift_stay_apart(column: int) -> None:
+    """Six columns side by side: what is frozen in one leaves the five others as they were, and where they were."""
+    whole = turned(cooling())
+    assert whole.drift is not None
+    assert whole.drift.rotation_urad is not None
+    values = np.hstack([whole.drift.error_um, whole.drift.rotation_urad])
+    values[BEGIN:END, column] = values[BEGIN, column]
+    spoilt = replace(whole, drift=replace(whole.drift, error_um=values[:, :3], rotation_urad=values[:, 3:]))
+    out, (entry,) = without_held_labels(spoilt)
+    assert entry.column == ("dX_um", "dY_um", "dZ_um", "rA_urad", "rB_urad", "rC_urad")[column]
+    assert out.drift is not None
+    assert out.drift.rotation_urad is not None
+    expected = values.copy()
+    expected[BEGIN + 1 : END, column] = np.nan
+    np.testing.assert_array_equal(out.drift.error_um, expected[:, :3])
+    np.testing.assert_array_equal(out.drift.rotation_urad, expected[:, 3:])
+
+
+def test_displacements_and_tilts_of_sweeps_stay_apart() -> None:
+    measured = turned(measured_campaign(np.random.default_rng(5))[0])
+    sweeps = sweeps_of(measured)
+    assert sweeps.rotation_urad is not None
+    error_um, rotation_urad = sweeps.error_um.copy(), sweeps.rotation_urad.copy()
+    error_um[100:110], rotation_urad[100:110] = error_um[100], rotation_urad[100]
+    out, entries = without_held_labels(
+        replace(measured, sweeps=replace(sweeps, error_um=error_um, rotation_urad=rotation_urad))
+    )
+    assert len(entries) == 6
+    after = sweeps_of(out)
+    assert after.rotation_urad is not None
+    error_um[101:110] = rotation_urad[101:110] = np.nan
+    np.testing.assert_array_equal(after.error_um, error_um)
+    np.testing.assert_array_equal(after.rotation_urad, rotation_urad)
+
+
 def test_what_is_left_is_separated_without_the_held_rows() -> None:
     out, _ = without_held_labels(frozen(cooling()))
     parts = {s.component: s for s in separate_campaign(MACHINE, out)}

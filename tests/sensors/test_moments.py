@@ -1,8 +1,6 @@
 """Summaries against the rows themselves: numpy least squares and scikit-learn, fold by fold."""
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,7 +8,7 @@ from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from thetacomp.errors import AnalysisError, InputError
+from thetacomp.errors import AnalysisError
 from thetacomp.moments import (
     SummaryBuilder,
     held_out_squares,
@@ -22,7 +20,6 @@ from thetacomp.moments import (
     subtract,
     summarise,
 )
-from thetacomp.moments_parquet import summarise_parquet
 
 INPUTS = ("theta_1", "theta_2", "theta_3", "theta_4", "theta_5")
 TARGETS = ("EXX", "EYX")
@@ -185,52 +182,3 @@ def test_what_cannot_be_computed_is_said():
     inputs[:, 4] = 1e6 + 0.1
     with pytest.raises(AnalysisError, match="'theta_5' does not vary"):
         least_squares(summarise(inputs, targets, INPUTS, TARGETS))
-
-
-def write_telemetry(path, rows, row_group_size=90):
-    """Campaigns one after the other in one file, a value missing in each, a float32 and an integer column too."""
-    columns = {name: np.concatenate([x[:, i] for x, _ in rows]) for i, name in enumerate(INPUTS)}
-    columns |= {name: np.concatenate([y[:, i] for _, y in rows]) for i, name in enumerate(TARGETS)}
-    labels = np.repeat([f"c{i}" for i in range(len(rows))], [len(x) for x, _ in rows])
-    columns["theta_2"] = columns["theta_2"].astype(np.float32)
-    columns["theta_3"] = np.round(columns["theta_3"]).astype(np.int64)
-    arrays = {name: pa.array(values) for name, values in columns.items()}
-    arrays["theta_4"] = pa.array(columns["theta_4"], mask=np.arange(len(labels)) == 5)
-    pq.write_table(pa.table({**arrays, "campaign": labels}), path, row_group_size=row_group_size)
-    return columns, labels
-
-
-def test_parquet_file_gives_the_same_as_its_rows(tmp_path):
-    rows, _ = campaigns()
-    columns, labels = write_telemetry(tmp_path / "telemetry.parquet", rows)
-    found = summarise_parquet(tmp_path / "telemetry.parquet", INPUTS, TARGETS, "campaign")
-    assert [s.name for s in found] == ["c0", "c1", "c2", "c3"]
-    assert [s.skipped for s in found] == [1, 0, 0, 0]
-    complete = np.arange(len(labels)) != 5
-    for summary in found:
-        kept = (labels == summary.name) & complete
-        table = np.array([columns[name][kept] for name in (*INPUTS, *TARGETS)]).T
-        np.testing.assert_allclose(summary.cross, two_pass(table[:, :5], table[:, 5:])[1], rtol=1e-10, atol=1e-9)
-    (whole,) = summarise_parquet(tmp_path / "telemetry.parquet", INPUTS, TARGETS)
-    assert (whole.name, whole.count) == ("telemetry", len(labels) - 1)
-    np.testing.assert_allclose(whole.cross, merge(found).cross, rtol=1e-10, atol=1e-9)
-
-
-def test_parquet_rows_without_a_campaign_belong_to_none(tmp_path):
-    table = pa.table({"theta_1": [1.0, 2.0, 4.0, 9.0], "EXX": [1.0, 2.0, 3.0, 9.0], "campaign": ["b", "a", "b", None]})
-    pq.write_table(table, tmp_path / "t.parquet")
-    found = summarise_parquet(tmp_path / "t.parquet", ["theta_1"], ["EXX"], "campaign")
-    assert [(s.name, s.count, s.mean.tolist()) for s in found] == [("b", 2, [2.5, 2.0]), ("a", 1, [2.0, 2.0])]
-
-
-def test_parquet_problems_come_all_at_once(tmp_path):
-    pq.write_table(pa.table({"theta_1": [1.0], "note": ["x"]}), tmp_path / "t.parquet")
-    with pytest.raises(InputError) as caught:
-        summarise_parquet(tmp_path / "t.parquet", ["theta_1", "theta_2"], ["note"])
-    assert [(p.code, p.column) for p in caught.value.problems] == [
-        ("column-missing", "theta_2"),
-        ("column-not-numeric", "note"),
-    ]
-    (tmp_path / "u.parquet").write_text("no parquet")
-    with pytest.raises(InputError, match=r"u\.parquet: cannot be read as Parquet"):
-        summarise_parquet(tmp_path / "u.parquet", ["a"], ["b"])

@@ -205,6 +205,38 @@ def test_bounds_leave_most_subsets_out_where_few_sensors_matter():
     assert found.evaluated < found.subsets / 100
 
 
+@pytest.mark.parametrize("score", SCORES)
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_no_bound_of_a_node_lies_above_the_best_of_its_subsets(seed, score):
+    """A bound that is too high prunes the best. Every child's bound is held against all subsets that it stands for.
+
+    The best of a node comes from brute force on the rows; what is tight is asked, too: a bound of nothing prunes
+    nothing.
+    """
+    rows, k = problem(seed, 9, campaigns=3), 5
+    campaigns = summaries(rows)
+    weights = module._weights(merge(campaigns), None)
+    products, _ = module._products(campaigns, weights, score)
+    nodes, given = np.array([[0, 9, *range(9)]], dtype=np.int32), np.zeros(1)
+    everything = stacked(rows)
+    spread = ((everything[1] - everything[1].mean(axis=0)) ** 2).sum(axis=0)
+    tight = []
+    for _ in range(2):
+        children, bounds = np.empty((len(nodes) * 9, 11), dtype=np.int32), np.empty(len(nodes) * 9)
+        number = branch(products, k, nodes, given, inf, children, bounds)
+        for child, bound in zip(children[:number], bounds[:number], strict=True):
+            chosen, free = child[2 : 2 + child[0]], child[2 + child[0] : 2 + child[0] + child[1]]
+            left = [
+                np.mean(fit_squares(everything, everything, [*chosen, *added]) / spread)
+                for added in combinations(free.tolist(), k - int(child[0]))
+            ]
+            assert bound <= min(left) + 1e-12
+            whole = fit_squares(everything, everything, [*chosen, *free]) / spread
+            tight.append(abs(bound - np.mean(whole)) < 1e-6)
+        nodes, given = children[:number].copy(), bounds[:number].copy()
+    assert np.mean(tight) > 0.9
+
+
 def test_no_subset_is_forgotten_where_nothing_is_pruned():
     campaigns = summaries(problem(18, 10))
     products, _ = module._products(campaigns, module._weights(merge(campaigns), None), "residual")

@@ -259,6 +259,31 @@ def test_of_a_long_axis_two_metres_in_the_middle_are_taken() -> None:
     assert any("from 1000 to 3000 mm" in remark for remark in test.remarks)
 
 
+@pytest.mark.parametrize(
+    ("travel_mm", "told"),
+    [((0.0, 2000.0), False), ((0.0, 2001.0), True), ((-1500.0, 501.0), True), ((1000.0, 2500.0), False)],
+)
+def test_the_travel_not_the_position_of_its_ends_makes_an_axis_a_long_one(
+    travel_mm: tuple[float, float], told: bool
+) -> None:
+    """The standard covers 2 m of travel; where on the scale they lie is nothing to it."""
+    axis = Axis(name="X", direction="+X", travel_mm=travel_mm)
+    low, high = travel_mm
+    remarks = axis_distortion(visited(axis, (low, (low + high) / 2, low + 1000.0)), axis).remarks
+    found = [remark for remark in remarks if "ISO 230-3 covers 2 m" in remark]
+    assert bool(found) == told
+    assert not told or f"The axis has {high - low:g} mm" in found[0]
+
+
+def test_visits_that_cover_less_than_four_hours_are_told() -> None:
+    axis = Axis(name="X", direction="+X", travel_mm=(0.0, 1000.0))
+    for hours, told in ((6, False), (5, False), (4, True)):
+        test = axis_distortion(visited(axis, (0.0, 500.0, 1000.0), hours), axis)
+        assert any("less than 4 h" in remark for remark in test.remarks) == told
+        # The first visit is at 0 s; the last reading of an hour comes five seconds after it.
+        assert (test.start_s, test.end_s) == (0.0, min(14400.0, 3600.0 * (hours - 1) + 5.0))
+
+
 def test_an_axis_visited_twice_is_refused() -> None:
     axis = Axis(name="X", direction="+X", travel_mm=(0.0, 1000.0))
     with pytest.raises(AnalysisError, match="visited fewer than 3 times"):

@@ -17,6 +17,7 @@ from typer.testing import CliRunner, Result
 from thetacomp.cli.main import app
 from thetacomp.errors import InputError
 from thetacomp.reading import read_positioning
+from thetacomp.reading.checks import LARGEST_ERROR_UM
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "spindle"
 DATA = "caiviac_fl_thermal/data.xlsx"
@@ -112,6 +113,30 @@ def test_bad_cells_of_a_lone_table_are_told_with_row_and_column(tmp_path: Path, 
         read_positioning(path)
     assert message in str(refusal.value)
     assert invoke(path, "--out", tmp_path / "out").exit_code == 1
+
+
+def test_a_lone_table_that_cannot_be_read_at_all_is_named(tmp_path: Path) -> None:
+    (tmp_path / "empty.csv").write_text("", encoding="utf-8")
+    (tmp_path / "binary.csv").write_bytes(bytes(range(256)) * 8)
+    for name, code in (("lost.csv", "missing-file"), ("empty.csv", None), ("binary.csv", None)):
+        with pytest.raises(InputError) as refusal:
+            read_positioning(tmp_path / name)
+        (problem,) = refusal.value.problems
+        assert problem.file == name
+        assert code is None or problem.code == code
+        assert problem.fix
+
+
+def test_the_largest_plausible_deviation_is_one_still_taken(tmp_path: Path) -> None:
+    for error_um, good in ((LARGEST_ERROR_UM, True), (-LARGEST_ERROR_UM, True), (-1.001 * LARGEST_ERROR_UM, False)):
+        rows = deviations()
+        rows[3][4] = error_um
+        path = write_files(tmp_path, {"x.csv": csv_text(rows)}) / "x.csv"
+        if good:
+            assert read_positioning(path)[0].deviation_um[2] == error_um
+        else:
+            with pytest.raises(InputError, match="row 4, column 'error_um'"):
+                read_positioning(path)
 
 
 def test_four_runs_end_with_exit_code_1_and_write_nothing(tmp_path: Path) -> None:

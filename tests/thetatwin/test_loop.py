@@ -153,6 +153,14 @@ def test_a_sensor_that_came_back_stays_lost_and_the_lead_is_used(monkeypatch: py
     np.testing.assert_array_equal(found.duty.t_s, [-120.0, 0.0])
 
 
+def test_what_came_before_is_joined_by_the_names_of_the_sensors() -> None:
+    """The loggers' columns stood in another order before the campaign began."""
+    own = Temperatures(np.array([0.0, 60.0]), ("a", "b"), np.array([[20.0, 30.0], [21.0, 31.0]]))
+    earlier = Temperatures(np.array([-120.0, -60.0]), ("b", "a"), np.array([[28.0, 18.0], [29.0, 19.0]]))
+    found = live_readings(Campaign("c", CampaignSettings(), own, before=LeadIn(earlier)), None)
+    np.testing.assert_array_equal(found.table.value_degC, [[18.0, 28.0], [19.0, 29.0], [20.0, 30.0], [21.0, 31.0]])
+
+
 # --- drift counts once
 
 

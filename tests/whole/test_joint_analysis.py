@@ -104,6 +104,31 @@ def test_the_drift_is_fitted_without_the_held_out_states() -> None:
     assert (half > 0).all()
 
 
+def test_drift_of_a_campaign_that_lacks_the_axis_trains_always() -> None:
+    """Campaign b measured no X: nothing of X is held out there, so all of its drift may train, and of a its own."""
+    whole = folder()
+    separated = [s for s in separate_all(MACHINE, whole.campaigns).components if s.campaign == "a" or s.axis != "X"]
+    everything = axis_states(whole, separated, ["b", "a"])
+    seen: list[AxisStates] = []
+
+    def procedure(states: AxisStates) -> AxisModel:
+        seen.append(states)
+        return fit_axis(states, ("t1",))
+
+    x, drift = everything[0], everything[-1]
+    assert (x.campaigns, drift.campaigns) == (("a",), ("b", "a"))
+    view, procedures = with_drift(x, everything, {"p": procedure})
+    kept = np.arange(len(x.t_s) - 2)
+    procedures["p"](view.take(kept))
+    trained = seen[1]
+    names = np.array(drift.campaigns)[trained.campaign]
+    assert np.count_nonzero(names == "b") == np.count_nonzero(drift.campaign == 0)
+    # Of campaign a: those whose nearest state of X is one that was kept.
+    own_s = drift.t_s[drift.campaign == 1]
+    nearest = np.abs(own_s[:, None] - x.t_s[None, :]).argmin(axis=1)
+    assert trained.t_s[names == "a"].tolist() == own_s[np.isin(nearest, kept)].tolist()
+
+
 def test_the_separate_form_is_untouched() -> None:
     whole = folder(at=False)
     separated = separate_all(MACHINE, whole.campaigns)

@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from thetacomp.arrays import Floats
-from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
 from thetacomp.fitting.fallbacks import accuracy_of
 from thetacomp.model.document import Accuracy, AxisLaw, Component, Fallback
-from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation.component import ComponentSeparation
 from thetacomp.states import AxisStates, axis_states
 
@@ -35,7 +31,7 @@ def with_fallbacks(
     sensors = axis.layout.sensors if len(axis.layout.sensors) > 1 else ()
     made = []
     for lost in sensors if wanted is None else [name for name in sensors if name in wanted]:
-        (rest,) = axis_states(_without(folder, lost), own, campaigns)
+        (rest,) = axis_states(folder.without_sensors({lost}), own, campaigns)
         fitted = calibrated_history(rest)
         accuracy = {
             name: accuracy_of(states.samples[k].value_um, whole.left_out_um[name], fitted.left_out_um[name])
@@ -59,21 +55,3 @@ def _widened(component: Component, full: Component, accuracy: Accuracy) -> Compo
     factor = max(1.0, accuracy.without_rms_um / accuracy.full_rms_um) if accuracy.full_rms_um > 0 else 1.0
     quantile, noise_sd_um = factor * (full.band.quantile or 0.0), component.band.noise_sd_um
     return component.model_copy(update={"band": replace(full.band, quantile=quantile, noise_sd_um=noise_sd_um)})
-
-
-def _without(folder: MachineFolder, lost: str) -> MachineFolder:
-    """The folder as if the sensor had never been read."""
-    return replace(folder, campaigns=tuple(_unread(campaign, lost) for campaign in folder.campaigns))
-
-
-def _unread(campaign: Campaign, lost: str) -> Campaign:
-    before = campaign.before
-    if before is not None:
-        before = replace(before, temperatures=_dropped(before.temperatures, lost))
-    return replace(campaign, temperatures=_dropped(campaign.temperatures, lost), before=before)
-
-
-def _dropped(table: Temperatures, lost: str) -> Temperatures:
-    kept = [j for j, name in enumerate(table.sensor_ids) if name != lost]
-    value: Floats = np.asarray(table.value_degC)[:, kept]
-    return replace(table, sensor_ids=tuple(table.sensor_ids[j] for j in kept), value_degC=value)

@@ -19,7 +19,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 
-Action = Literal["adapted", "limited", "gated", "alarm", "blocked", "acknowledged", "absorbed", "reverted"]
+Action = Literal["adapted", "limited", "gated", "alarm", "blocked", "acknowledged", "reverted"]
 
 
 @dataclass(frozen=True)
@@ -149,16 +149,6 @@ def acknowledge(state: Adaptation, t_s: float, reason: str) -> tuple[Adaptation,
     """End an alarm: probes count again. What was learnt before the alarm stays."""
     after = replace(state, gated=0, alarm=False)
     return after, Change(t_s, "acknowledged", reason, None, None, state, after)
-
-
-def absorb(state: Adaptation, t_s: float, carried_um: float, limits: Limits, reason: str) -> tuple[Adaptation, Change]:
-    """Take over an offset that was carried from another model, just before the probe that will correct it.
-
-    The output does not move, unless the bound of the offset cuts it.
-    """
-    offset_um = min(max(state.offset_um + carried_um, -limits.offset_most_um), limits.offset_most_um)
-    after = replace(state, value=(offset_um, *state.slopes))
-    return after, Change(t_s, "absorbed", reason, None, None, state, after)
 
 
 def uncertainty_um(state: Adaptation, t_s: float, half_width_um: float, limits: Limits) -> float:

@@ -1,6 +1,6 @@
-"""Beyond the border of validity: the prediction fades towards a prior, with no jump and a bounded rate. Numpy only.
+"""Beyond the border of validity: the prediction fades towards a prior, with no jump. Numpy only.
 
-The prior is a simple physical law (`models.prior`), which is plausible everywhere and precise nowhere.
+The prior is a simple physical law (`fitting.prior`), which is plausible everywhere and precise nowhere.
 """
 
 from __future__ import annotations
@@ -9,8 +9,6 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 
-# a full fade takes at least ten minutes: slow for a machine, fast against its time constants
-FADE_PER_S = 1.0 / 600.0
 # Heat deforms a machine nearly in proportion: twice what training showed is still believed, though it is flagged.
 FADE_START = 2.0
 
@@ -28,12 +26,3 @@ def model_weight(distance: Floats) -> Floats:
 def faded_um(model_um: Floats, prior_um: Floats, weight: Floats) -> Floats:
     """`weight × model + (1 - weight) × prior`, (n,), continuous in all three."""
     return weight * model_um + (1.0 - weight) * prior_um
-
-
-def step_weight(weight: float, wanted: float, dt_s: float, per_s: float = FADE_PER_S) -> float:
-    """The weight one sample of `dt_s` later: on its way to `wanted`, by at most `per_s × dt_s`.
-
-    The part of the output that comes from fading thus never moves faster than `per_s × |model - prior|`.
-    """
-    most = per_s * dt_s
-    return weight + min(max(wanted - weight, -most), most)

@@ -1,7 +1,7 @@
 """Changing the law while the machine runs: the fallback for lost sensors, and a change of laws without a bump.
 
 At the change the difference of the two laws is kept as an offset, so the output goes on from where it was. The offset
-decays slowly, or stays until the next probe, which takes it over (`adaptation.absorb`). Time is an argument.
+decays slowly, or stays until a probe measures the error anew. Time is an argument.
 """
 
 from __future__ import annotations

@@ -227,31 +227,23 @@ def history_inputs(
     return layout.inputs(signals, lags)
 
 
-def recorded_inputs(layout: HistoryLayout, parts: Sequence[tuple[Temperatures, Duty | None]]) -> tuple[Floats, Floats]:
-    """Times (n,) and inputs (n, k) of an unbroken recording in one or more parts, with filters at rest at its start.
+def recorded_inputs(layout: HistoryLayout, temperatures: Temperatures, duty: Duty | None) -> tuple[Floats, Floats]:
+    """Times (n,) and inputs (n, k) of an unbroken recording, gaps bridged, with filters at rest at its start.
 
-    Raises AnalysisError where the layout has speeds and no part has a duty table.
+    Raises AnalysisError for a sensor without a column, and where the layout has speeds and the duty has none.
     """
-    if layout.speed_powers and all(duty is None or SPEED not in duty.columns for _, duty in parts):
+    # Filters need an unbroken signal; where plain temperatures are all there is, a gap stays a gap.
+    read = (temperatures.bridged() if layout.time_constants_s else temperatures).select(layout.sensors)
+    if layout.speed_powers and (duty is None or SPEED not in duty.columns):
         raise AnalysisError(
             f"this model needs the spindle speed, and there is no {SPEED}."
             " Fix: give a duty table with t_s and spindle_rpm."
         )
-    t_s = np.concatenate([table.t_s for table, _ in parts])
-    degC = np.vstack([_of_sensors(table, layout) for table, _ in parts])
-    speed_rpm = np.concatenate([_speed_rpm(duty, table.t_s) for table, duty in parts]) if layout.speed_powers else None
-    return t_s, history_inputs(layout, t_s, degC, speed_rpm)
+    speed_rpm = _speed_rpm(duty, read.t_s) if duty is not None and layout.speed_powers else None
+    return read.t_s, history_inputs(layout, read.t_s, read.value_degC, speed_rpm)
 
 
-def _speed_rpm(duty: Duty | None, t_s: Floats) -> Floats:
+def _speed_rpm(duty: Duty, t_s: Floats) -> Floats:
     """Spindle speed at the times of the temperatures: it holds until the next entry of the duty table."""
-    if duty is None or SPEED not in duty.columns:
-        return np.zeros(len(t_s))
     rows = np.clip(np.searchsorted(duty.t_s, t_s, side="right") - 1, 0, None)
     return np.nan_to_num(duty.columns[SPEED][rows])
-
-
-def _of_sensors(table: Temperatures, layout: HistoryLayout) -> Floats:
-    """Samples of the layout's sensors, (n, sensors): filters need gaps bridged, plain temperatures keep theirs."""
-    value = table.at(table.t_s) if layout.time_constants_s else table.value_degC
-    return np.asarray(value[:, [table.sensor_ids.index(name) for name in layout.sensors]])

@@ -117,8 +117,7 @@ def predict(
 
 def workpiece_degC(model: ModelDocument, temperatures: Temperatures, t_s: Floats) -> Floats:
     """Temperature of the workpiece at moments (n,). Raises AnalysisError where its sensor has no column."""
-    (column,) = _columns(temperatures, (model.length.workpiece_sensor or "",))
-    return sampled(temperatures, t_s)[:, column]
+    return temperatures.select((model.length.workpiece_sensor or "",)).unbridged_at(t_s)[:, 0]
 
 
 def _follow_workpiece(model: ModelDocument, temperatures: Temperatures, table: _Table) -> None:
@@ -182,21 +181,20 @@ class Recording:
         law = Law.of_model(axis)
         if self.reference != "model":
             at_s = _reference_s(self.temperatures, self.reference)
-            zero = sampled(inputs, np.array([at_s]))[0]
+            zero = inputs.unbridged_at(np.array([at_s]))[0]
             _refuse_missing_reference([s for s, v in zip(axis.layout.sensors, zero, strict=False) if v != v], at_s)
             law = Law(axis, zero, keeps_constant=False)
         parts = []
         for start in range(0, max(len(t_s), 1), BLOCK):
-            now = sampled(inputs, t_s[start : start + BLOCK])
+            now = inputs.unbridged_at(t_s[start : start + BLOCK])
             parts.append(law.at(now - law.zero, now[:, :sensors]))
         return joined(parts)
 
     def _inputs_of(self, layout: HistoryLayout) -> Temperatures:
         if layout not in self._inputs:
-            _columns(self.temperatures, layout.sensors)
             duty = self.duty if layout.speed_powers else None
             _check_duty_clock(self.temperatures, duty)
-            clock_s, inputs = recorded_inputs(layout, [(self.temperatures, duty)])
+            clock_s, inputs = recorded_inputs(layout, self.temperatures, duty)
             self._inputs[layout] = Temperatures(clock_s, tuple(map(str, range(inputs.shape[1]))), inputs)
         return self._inputs[layout]
 
@@ -248,22 +246,6 @@ class _Table:
             breaches=breaches_of(self.seen),
             replaced=replaced,
         )
-
-
-def sampled(temperatures: Temperatures, t_s: Floats) -> Floats:
-    """Temperatures at other times, shape (len(t_s), sensors): linear between two samples that both exist, else NaN.
-
-    After the last sample it holds for one sampling interval (the median one), no longer: a logger that stopped must
-    not look like a machine that stays warm.
-    """
-    clock = temperatures.t_s
-    after = np.clip(np.searchsorted(clock, t_s, side="left"), 0, len(clock) - 1)
-    before = np.where((clock[after] > t_s) & (after > 0), after - 1, after)
-    step_s = np.where(after > before, clock[after] - clock[before], 1.0)
-    share = np.where(after > before, (t_s - clock[before]) / step_s, 0.0)[:, None]
-    value = temperatures.value_degC[before] * (1.0 - share) + temperatures.value_degC[after] * share
-    value[(t_s < clock[0]) | (t_s > clock[-1] + _interval_s(temperatures))] = np.nan
-    return value
 
 
 def write_prediction(prediction: Prediction, path: Path) -> None:
@@ -320,16 +302,6 @@ def _check_axes(model: ModelDocument, positions: PositionTable, place: Callable[
     )
 
 
-def _columns(temperatures: Temperatures, inputs: tuple[str, ...]) -> list[int]:
-    lacking = [sensor for sensor in inputs if sensor not in temperatures.sensor_ids]
-    if lacking:
-        raise AnalysisError(
-            f"temperatures: no column {', '.join(lacking)}, which the model needs as an input;"
-            f" found {', '.join(temperatures.sensor_ids)}. Fix: add the column, or give it the name used in training."
-        )
-    return [temperatures.sensor_ids.index(sensor) for sensor in inputs]
-
-
 def check_times(temperatures: Temperatures, t_s: Floats, place: Callable[[int], str]) -> None:
     """Raise AnalysisError where moments (n,) lie before the temperatures, or all of them after."""
     if not len(temperatures.t_s):
@@ -342,7 +314,7 @@ def check_times(temperatures: Temperatures, t_s: Floats, place: Callable[[int], 
             f" temperature sample at t_s = {_plain(first_s)} ({len(early)} such rows)."
             " Fix: bring both tables to the same clock, or start the temperatures earlier."
         )
-    if len(t_s) and (t_s > last_s + _interval_s(temperatures)).all():
+    if len(t_s) and (t_s > last_s + temperatures.interval_s).all():
         raise AnalysisError(
             f"positions: all rows lie after the last temperature sample at t_s = {_plain(last_s)}."
             " Fix: bring both tables to the same clock, or let the temperatures go on longer."
@@ -359,10 +331,6 @@ def _check_duty_clock(temperatures: Temperatures, duty: Duty | None) -> None:
             f" {_plain(temperatures.t_s[0])} to {_plain(temperatures.t_s[-1])}: they never meet."
             " Fix: bring both tables to the same clock."
         )
-
-
-def _interval_s(temperatures: Temperatures) -> float:
-    return float(np.median(np.diff(temperatures.t_s))) if len(temperatures.t_s) > 1 else 0.0
 
 
 def _reference_s(temperatures: Temperatures, reference: Reference) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thetacomp.arrays import Floats
+from thetacomp.arrays import Bools, Floats, Ints
+from thetacomp.errors import AnalysisError
 
 GAP_INTERVALS = 3.0
 GAP_S = 600.0
@@ -15,20 +16,61 @@ GAP_S = 600.0
 
 @dataclass(frozen=True)
 class Temperatures:
-    """Sensor temperatures: `t_s` (n,) ascending, `value_degC` (n, sensors)."""
+    """Sensor temperatures: `t_s` (n,) ascending, `value_degC` (n, sensors), NaN where a reading is missing."""
 
     t_s: Floats
     sensor_ids: tuple[str, ...]
     value_degC: Floats
 
-    def at(self, t_s: Floats) -> Floats:
-        """Temperatures at other times, shape (len(t_s), sensors): linear between samples, held at the ends.
+    @property
+    def interval_s(self) -> float:
+        """Median sampling interval in s; 0 for fewer than two samples."""
+        return float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
-        A missing sample is bridged by its neighbours; a gap of more than three sampling intervals and ten minutes
-        stays a gap (NaN), at the ends too. A sensor without any sample is NaN throughout.
+    def select(self, sensors: Sequence[str]) -> Temperatures:
+        """The named sensors in that order. Raises AnalysisError where one has no column."""
+        absent = [name for name in sensors if name not in self.sensor_ids]
+        if absent:
+            raise AnalysisError(
+                f"temperatures: no column {', '.join(absent)}, which the model needs as an input;"
+                f" found {', '.join(self.sensor_ids)}. Fix: add the column, or give it the name used in training."
+            )
+        columns = [self.sensor_ids.index(name) for name in sensors]
+        return replace(self, sensor_ids=tuple(sensors), value_degC=self.value_degC[:, columns])
+
+    def padded(self, sensors: Sequence[str]) -> Temperatures:
+        """The named sensors in that order, one without a column as missing throughout."""
+        value_degC = np.full((len(self.t_s), len(sensors)), np.nan)
+        present = [name in self.sensor_ids for name in sensors]
+        value_degC[:, present] = self.select([name for name in sensors if name in self.sensor_ids]).value_degC
+        return replace(self, sensor_ids=tuple(sensors), value_degC=value_degC)
+
+    def without(self, sensors: Collection[str]) -> Temperatures:
+        """All sensors but these, as if they had never been read."""
+        return self.select([name for name in self.sensor_ids if name not in sensors])
+
+    def take(self, rows: slice | Ints | Bools) -> Temperatures:
+        """Some of the samples."""
+        return replace(self, t_s=self.t_s[rows], value_degC=self.value_degC[rows])
+
+    def joined(self, later: Temperatures) -> Temperatures:
+        """This table and a later part of the same recording; columns go by name, in the order of this table.
+
+        Raises AnalysisError where the two have different sensors.
         """
-        interval_s = float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
-        limit_s = max(GAP_INTERVALS * interval_s, GAP_S)
+        if odd := sorted(set(self.sensor_ids) ^ set(later.sensor_ids)):
+            raise AnalysisError(f"temperatures: two parts of one recording have different sensors ({', '.join(odd)}).")
+        value_degC = np.vstack([self.value_degC, later.select(self.sensor_ids).value_degC])
+        return replace(self, t_s=np.concatenate([self.t_s, later.t_s]), value_degC=value_degC)
+
+    def at(self, t_s: Floats) -> Floats:
+        """Temperatures at other times, shape (len(t_s), sensors): linear between readings, held at the ends.
+
+        A missing reading is bridged by its neighbours; a gap of more than three sampling intervals and ten minutes
+        stays a gap (NaN), at the ends too. A sensor without any reading is NaN throughout. This looks ahead: at work
+        on a machine use `unbridged_at`.
+        """
+        limit_s = max(GAP_INTERVALS * self.interval_s, GAP_S)
         out = np.full((len(t_s), len(self.sensor_ids)), np.nan)
         for j in range(len(self.sensor_ids)):
             good = np.isfinite(self.value_degC[:, j])
@@ -42,10 +84,50 @@ class Temperatures:
                 out[:, j] = np.where(far, np.nan, np.interp(t_s, known_s, self.value_degC[good, j]))
         return out
 
+    def bridged(self) -> Temperatures:
+        """The same samples with missing readings filled in as in `at`."""
+        return replace(self, value_degC=self.at(self.t_s))
+
+    def unbridged_at(self, t_s: Floats) -> Floats:
+        """Temperatures at other times, shape (len(t_s), sensors): linear between two samples, NaN beside a missing one.
+
+        After the last sample it holds for one sampling interval, no longer: a logger that stopped must not look like a
+        machine that stays warm.
+        """
+        value_degC = between_samples(self.t_s, self.value_degC, t_s)
+        value_degC[(t_s < self.t_s[0]) | (t_s > self.t_s[-1] + self.interval_s)] = np.nan
+        return value_degC
+
 
 @dataclass(frozen=True)
 class Duty:
-    """What the machine did: named columns such as `spindle_rpm`, `feed_mm_min`, each (n,)."""
+    """What the machine did: named columns such as `spindle_rpm`, `feed_mm_min`, each (n,).
+
+    An entry holds until the next one.
+    """
 
     t_s: Floats
     columns: Mapping[str, Floats]
+
+    def take(self, rows: slice | Ints | Bools) -> Duty:
+        """Some of the entries."""
+        return Duty(self.t_s[rows], {name: values[rows] for name, values in self.columns.items()})
+
+    def joined(self, later: Duty) -> Duty:
+        """This duty and a later part of the same recording, with the columns of the later part.
+
+        Where a column was not logged before, the machine counts as standing still.
+        """
+        still = np.zeros(len(self.t_s))
+        columns = {name: np.concatenate([self.columns.get(name, still), v]) for name, v in later.columns.items()}
+        return Duty(np.concatenate([self.t_s, later.t_s]), columns)
+
+
+def between_samples(sample_s: Floats, value: Floats, t_s: Floats) -> Floats:
+    """Values (len(t_s), k) of n samples (n, k) at other times: linear, held at the ends, NaN beside a missing value."""
+    after = np.clip(np.searchsorted(sample_s, t_s, side="left"), 0, len(sample_s) - 1)
+    before = np.where((sample_s[after] > t_s) & (after > 0), after - 1, after)
+    step_s = np.where(after > before, sample_s[after] - sample_s[before], 1.0)
+    slope = (value[after] - value[before]) / step_s[:, None]
+    between: Floats = slope * (np.clip(t_s, sample_s[0], sample_s[-1]) - sample_s[before])[:, None] + value[before]
+    return between

@@ -78,7 +78,7 @@ def _read(root: Path, problems: ProblemList) -> MachineFolder | None:
     machine = _machine(root, entries, problems)
     found = _campaigns(root, entries, machine, problems)
     correlations = [_correlations(root / name, problems) if name in entries else None for name in CORRELATIONS]
-    _report_unknown(root, entries, problems)
+    _report_unknown(entries, problems)
     if machine is None:
         return None
     if found and not problems.has_errors:
@@ -318,7 +318,7 @@ def _report_unknown_table(label: str, stem: str, kind: str, problems: ProblemLis
     problems.warning("unknown-file", label, message, fix)
 
 
-def _report_unknown(root: Path, entries: dict[str, Path], problems: ProblemList) -> None:
+def _report_unknown(entries: dict[str, Path], problems: ProblemList) -> None:
     known = (MACHINE, RECORDING, "campaigns", *CORRELATIONS)
     for name, entry in entries.items():
         data_beside_recording = RECORDING in entries and entry.suffix.lower() in (".csv", ".xlsx", ".parquet")

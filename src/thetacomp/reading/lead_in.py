@@ -8,7 +8,6 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, LeadIn
-from thetacomp.model.temperatures import Duty, Temperatures
 
 
 def with_lead_in(campaign: Campaign) -> Campaign:
@@ -22,14 +21,13 @@ def with_lead_in(campaign: Campaign) -> Campaign:
     first = int(np.searchsorted(heat.t_s, start_s, side="right")) - 1
     if first < 1 or heat.t_s[-1] <= start_s:
         return campaign
-    earlier = Temperatures(heat.t_s[:first], heat.sensor_ids, heat.value_degC[:first])
-    own = Temperatures(heat.t_s[first:], heat.sensor_ids, heat.value_degC[first:])
+    earlier, own = heat.take(slice(None, first)), heat.take(slice(first, None))
     if duty is None:
         return replace(campaign, temperatures=own, before=LeadIn(earlier))
     # An entry holds until the next one: the campaign begins with the one that is in force.
     row = max(int(np.searchsorted(duty.t_s, own.t_s[0], side="right")) - 1, 0)
-    before = LeadIn(earlier, _rows(duty, slice(None, row)) if row else None)
-    return replace(campaign, temperatures=own, duty=_rows(duty, slice(row, None)), before=before)
+    before = LeadIn(earlier, duty.take(slice(None, row)) if row else None)
+    return replace(campaign, temperatures=own, duty=duty.take(slice(row, None)), before=before)
 
 
 def _start_s(campaign: Campaign) -> float:
@@ -37,7 +35,3 @@ def _start_s(campaign: Campaign) -> float:
     measured: list[Floats] = [table.t_s for table in tables if table is not None]
     first = [float(t_s.min()) for t_s in measured if len(t_s)]
     return min([0.0, campaign.settings.reference_s or 0.0, *first])
-
-
-def _rows(duty: Duty, rows: slice) -> Duty:
-    return Duty(duty.t_s[rows], {name: values[rows] for name, values in duty.columns.items()})

@@ -59,8 +59,7 @@ def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: Compo
     measured = analysis.folder.campaign(state.campaign).temperatures
     if not set(component.inputs) <= set(measured.sensor_ids):
         return None
-    columns = [measured.sensor_ids.index(i) for i in component.inputs]
-    return measured.at(t_s)[:, columns]
+    return measured.select(component.inputs).at(t_s)
 
 
 def drawn_law(analysis: Analysis) -> str:

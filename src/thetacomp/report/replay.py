@@ -13,7 +13,6 @@ from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign
 from thetacomp.controllers.replay import NOTICED_UM, TOGETHER, Loss
 from thetacomp.controllers.sinumerik_replay import CampaignReplay
-from thetacomp.model.prediction import sampled
 from thetacomp.report import style
 from thetacomp.report.rendering import render
 from thetacomp.report.style import HOUR_S
@@ -29,7 +28,7 @@ def series(campaign: Campaign) -> tuple[Floats, dict[str, Floats]]:
     """Every second from the campaign's zero to its last sample, (n,), and the sensors' temperatures then, (n,) each."""
     table = campaign.temperatures
     t_s = np.arange(reference_time_s(campaign), float(table.t_s[-1]) + GRID_S / 2, GRID_S)
-    value = sampled(table, t_s)
+    value = table.unbridged_at(t_s)
     return t_s, {sensor: value[:, j] for j, sensor in enumerate(table.sensor_ids)}
 
 

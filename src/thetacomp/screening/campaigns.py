@@ -126,7 +126,7 @@ def _screen_all(
         campaign = folder.campaign(name)
         try:
             model = fit_plain(_teachers(folder, campaign, train, suspects))
-            record = _record(campaign)
+            record, _ = campaign.recording()  # a fault that came before the campaign goes on into it
             results[name] = _Result(model, record, float(campaign.temperatures.t_s[0]), screen(model, record))
         except AnalysisError as exc:
             refused.append((name, str(exc)))
@@ -140,7 +140,7 @@ def _teachers(
     ids = campaign.temperatures.sensor_ids
     others = {name: folder.campaign(name).temperatures for name in train if name != campaign.name}
     tables = {
-        name: _columns(table, ids)
+        name: table.select(ids)
         for name, table in others.items()
         if set(ids) <= set(table.sensor_ids) and len(table.t_s) >= MIN_SAMPLES
     }
@@ -163,32 +163,15 @@ def _cleaned(table: Temperatures, judges: Sequence[Temperatures]) -> Temperature
         return table  # one short campaign cannot judge another
 
 
-def _columns(table: Temperatures, ids: tuple[str, ...]) -> Temperatures:
-    """The named sensors of a table, in that order."""
-    return Temperatures(table.t_s, ids, table.value_degC[:, [table.sensor_ids.index(name) for name in ids]])
-
-
-def _record(campaign: Campaign) -> Temperatures:
-    """The temperatures of a campaign; a fault that came before it in an unbroken recording goes on into it."""
-    own = campaign.temperatures
-    if campaign.before is None:
-        return own
-    before = _columns(campaign.before.temperatures, own.sensor_ids)
-    return Temperatures(
-        np.concatenate([before.t_s, own.t_s]), own.sensor_ids, np.vstack([before.value_degC, own.value_degC])
-    )
-
-
 def _repaired(campaign: Campaign, result: _Result) -> Campaign:
     """The campaign with repaired temperatures; a sensor that cannot be repaired has no column any more."""
     table = result.screening.repaired
-    kept = _columns(table, tuple(name for name in table.sensor_ids if name not in result.left_out))
+    kept = table.without(result.left_out)
     earlier = table.t_s < result.first_s
     before = campaign.before
     if before is not None:
-        before = LeadIn(replace(kept, t_s=kept.t_s[earlier], value_degC=kept.value_degC[earlier]), before.duty)
-    own = replace(kept, t_s=kept.t_s[~earlier], value_degC=kept.value_degC[~earlier])
-    return replace(campaign, temperatures=own, before=before)
+        before = LeadIn(kept.take(earlier), before.duty)
+    return replace(campaign, temperatures=kept.take(~earlier), before=before)
 
 
 def _channels(name: str, result: _Result, repair: bool) -> list[ScreenedChannel]:

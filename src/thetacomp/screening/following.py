@@ -264,16 +264,16 @@ class Follower:
             self._close(event, now)
             self._restore(j, now - 1)
         elif (partner := exchanged_with(self.history, event, self.offset_K, self.open)) is not None:
-            self._swap(event, partner, now)
+            self._swap(event, partner)
         elif change(residual).abrupt:
             after = deviation[event.onset - begin + 1 :]
             self.offset_K[j] = event.offset_before_K + float(np.nanmedian(after))
             event.shift_K = event.size_K = float(np.nanmedian(after))
-            self._closing_jump(event, now, small_K)
+            self._closing_jump(event, small_K)
         else:
             event.kind = "drift"
 
-    def _closing_jump(self, event: Event, now: int, small_K: float) -> None:
+    def _closing_jump(self, event: Event, small_K: float) -> None:
         j, earlier = event.j, self._jumped.get(event.j)
         if earlier is not None and abs(self.offset_K[j]) < small_K:
             # It jumped back: the earlier shift ends here.
@@ -291,7 +291,7 @@ class Follower:
         event.open, event.end, event.end_s = False, end, self._block_time_s(end)
         del self.open[event.j]
 
-    def _swap(self, event: Event, k: int, now: int) -> None:
+    def _swap(self, event: Event, k: int) -> None:
         j = event.j
         event.kind, event.partner = "swapped", k
         rows = self.history.rows(event.onset, self.history.count)

@@ -183,13 +183,11 @@ def _rebuild(
         share = np.clip((t_s - event.onset_s) / max(end_s - event.onset_s, 1e-9), 0.0, 1.0)
         level += share * (float(np.nanmean(after)) - level)
     rebuilt = np.interp(table.t_s, t_s, predicted + level)
-    _final_kind(event, reading, rebuilt, gone, model, table)
+    _final_kind(event, reading, rebuilt, gone, model)
     return np.asarray(rebuilt[gone])
 
 
-def _final_kind(
-    event: Event, reading: Floats, rebuilt: Floats, gone: NDArray[np.bool_], model: ScreeningModel, table: Temperatures
-) -> None:
+def _final_kind(event: Event, reading: Floats, rebuilt: Floats, gone: NDArray[np.bool_], model: ScreeningModel) -> None:
     """What the whole course of the deviation says: contact lost or drift, stuck or saturated; and its size."""
     deviation = (reading - rebuilt)[gone]
     read = np.isfinite(deviation)

@@ -23,12 +23,10 @@ def speeds(campaign: Campaign, *endings: str) -> tuple[Floats, Floats] | None:
     duty = campaign.duty
     if duty is None or not (names := [name for name in duty.columns if name.endswith(endings)]):
         return None
-    largest = np.max([np.abs(np.nan_to_num(duty.columns[name])) for name in names], axis=0)
     earlier = campaign.before.duty if campaign.before is not None else None
-    if earlier is None or not all(name in earlier.columns for name in names):
-        return duty.t_s, largest
-    ahead = np.max([np.abs(np.nan_to_num(earlier.columns[name])) for name in names], axis=0)
-    return np.concatenate([earlier.t_s, duty.t_s]), np.concatenate([ahead, largest])
+    if earlier is not None and all(name in earlier.columns for name in names):
+        duty = earlier.joined(duty)
+    return duty.t_s, np.max([np.abs(np.nan_to_num(duty.columns[name])) for name in names], axis=0)
 
 
 def in_force(t_s: Floats, start_s: float, end_s: float) -> slice:
@@ -75,11 +73,10 @@ def ambient_words(campaign: Campaign, ambient: Sequence[str], start_s: float, en
     inside = (heat.t_s >= start_s) & (heat.t_s <= end_s)
     ranges = []
     for sensor in ambient:
-        if sensor in heat.sensor_ids:
-            value = heat.value_degC[inside, heat.sensor_ids.index(sensor)]
-            value = value[np.isfinite(value)]
-            if len(value):
-                ranges.append(f"{sensor} {value.min():.1f} to {value.max():.1f} °C ({np.ptp(value):.1f} K)")
+        value = heat.padded((sensor,)).value_degC[inside]
+        value = value[np.isfinite(value)]
+        if len(value):
+            ranges.append(f"{sensor} {value.min():.1f} to {value.max():.1f} °C ({np.ptp(value):.1f} K)")
     if not ranges:
         return "No ambient temperature: no sensor of machine.toml with the role ambient has readings in this time."
     return f"Ambient temperature: {', '.join(ranges)}."
@@ -87,11 +84,8 @@ def ambient_words(campaign: Campaign, ambient: Sequence[str], start_s: float, en
 
 def unsettled(campaign: Campaign, start_s: float) -> tuple[str, ...]:
     """How far the temperatures had settled in the hour before the test, as far as they were logged."""
-    heat, before = campaign.temperatures, campaign.before
+    heat, _ = campaign.recording()
     t_s, value = heat.t_s, heat.value_degC
-    if before is not None and before.temperatures.sensor_ids == heat.sensor_ids:
-        t_s = np.concatenate([before.temperatures.t_s, t_s])
-        value = np.vstack([before.temperatures.value_degC, value])
     inside = (t_s >= start_s - HOUR_S) & (t_s <= start_s)
     logged_min = (start_s - float(t_s[inside][0])) / 60.0 if inside.any() else 0.0
     if logged_min < SHORTEST_HISTORY_MIN:

@@ -91,12 +91,7 @@ def _all_read(folder: MachineFolder) -> LayoutCheck:
 
 
 def _campaigns_with(folder: MachineFolder, sensor: str) -> list[str]:
-    return [
-        c.name
-        for c in folder.campaigns
-        if sensor in c.temperatures.sensor_ids
-        and np.isfinite(c.temperatures.value_degC[:, c.temperatures.sensor_ids.index(sensor)]).any()
-    ]
+    return [c.name for c in folder.campaigns if np.isfinite(c.temperatures.padded((sensor,)).value_degC).any()]
 
 
 def _redundancy(folder: MachineFolder) -> LayoutCheck:
@@ -158,12 +153,8 @@ def pooled_rises_K(folder: MachineFolder) -> Floats:
         table = campaign.temperatures
         if not len(table.t_s):
             continue
-        block = np.full((len(table.t_s), len(ids)), np.nan)
-        rise = table.value_degC - start_degC(table.t_s, table.value_degC, campaign.settings.reference_s)
-        for j, sensor in enumerate(table.sensor_ids):
-            if sensor in ids:
-                block[:, ids.index(sensor)] = rise[:, j]
-        blocks.append(block)
+        value_degC = table.padded(ids).value_degC
+        blocks.append(value_degC - start_degC(table.t_s, value_degC, campaign.settings.reference_s))
     return np.vstack(blocks) if blocks else np.empty((0, len(ids)))
 
 

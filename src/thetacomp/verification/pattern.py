@@ -19,7 +19,6 @@ from thetacomp.model.prediction import law_values
 from thetacomp.model.volumetric import volume_along
 from thetacomp.separation import ComponentSeparation
 from thetacomp.states import AxisStates
-from thetacomp.temperature.history_track import unbroken
 
 Expected = tuple[Floats, Floats]
 
@@ -86,7 +85,7 @@ def _along(
     A tracker measures true metres, so a wanted length that follows the workpiece plays no part.
     """
     times = np.concatenate([own.zero_t_s, t_s])
-    temperatures, duty = unbroken(campaign)
+    temperatures, duty = campaign.recording()
     zero_s = float(own.zero_t_s.mean())
 
     def place(i: int) -> str:

@@ -40,9 +40,9 @@ def live_readings(campaign: Campaign, screening: ScreeningModel | None) -> LiveR
 
     Without `screening` they are used as they were read, single missing samples bridged.
     """
-    table, duty = _with_lead_in(campaign)
+    table, duty = campaign.recording()
     if screening is None:
-        return LiveReadings(replace(table, value_degC=table.at(table.t_s)), duty, ())
+        return LiveReadings(table.bridged(), duty, ())
     detector, lost = Detector(screening), frozenset[str]()
     value, switches = np.empty_like(table.value_degC), []
     for i, (t_s, reading) in enumerate(zip(table.t_s, table.value_degC, strict=True)):
@@ -61,7 +61,7 @@ def live_error_um(
     """What the machine takes for its error at n moments and positions of all axes, (n, 3) in µm.
 
     Zero where the model has no such component. When a sensor is lost the fallback goes on from where the output was;
-    the difference decays as `fallback.carry_over` says. Raises AnalysisError as `predict_volume` does.
+    the difference decays as `model.fallback` says. Raises AnalysisError as `predict_volume` does.
     """
     begins = [(-np.inf, frozenset[str]()), *live.lost]
     ends = [*(begin_s for begin_s, _ in live.lost), np.inf]
@@ -97,24 +97,7 @@ def _error_um(
     known = set(rest.in_use)
     if not len(t_s) or not known:
         return np.zeros((len(t_s), 3))
-    kept = [j for j, name in enumerate(live.table.sensor_ids) if name not in lost]
-    ids = tuple(live.table.sensor_ids[j] for j in kept)
-    table = Temperatures(live.table.t_s, ids, live.table.value_degC[:, kept])
+    table = live.table.without(lost)
     there = {name: position for name, position in positions_mm.items() if name in known}
     found = predict_volume(rest, table, t_s, there, reference=reference_s, duty=live.duty)
     return np.nan_to_num(found.error_um)
-
-
-def _with_lead_in(campaign: Campaign) -> tuple[Temperatures, Duty | None]:
-    """Readings and duty of a campaign in one table with those that came before it."""
-    own, duty, before = campaign.temperatures, campaign.duty, campaign.before
-    if before is None:
-        return own, duty
-    earlier = before.temperatures
-    table = Temperatures(
-        np.concatenate([earlier.t_s, own.t_s]), own.sensor_ids, np.vstack([earlier.value_degC, own.value_degC])
-    )
-    if duty is None or before.duty is None:
-        return table, duty
-    columns = {name: np.concatenate([before.duty.columns[name], duty.columns[name]]) for name in duty.columns}
-    return table, Duty(np.concatenate([before.duty.t_s, duty.t_s]), columns)

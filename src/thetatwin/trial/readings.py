@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.arrays import Floats
-from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.campaign import MachineFolder
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening
@@ -121,24 +121,6 @@ def _month(
 ) -> ScreenedMonth:
     rows = (t_s >= begin_s) & (t_s <= end_s)
     return ScreenedMonth(Temperatures(t_s[rows], ids, used[rows]), out[rows])
-
-
-def without_sensors(folder: MachineFolder, lost: Sequence[str]) -> MachineFolder:
-    """The folder as if some sensors had never been read."""
-    return replace(folder, campaigns=tuple(_unread(campaign, lost) for campaign in folder.campaigns))
-
-
-def _unread(campaign: Campaign, lost: Sequence[str]) -> Campaign:
-    before = campaign.before
-    if before is not None:
-        before = replace(before, temperatures=dropped(before.temperatures, lost))
-    return replace(campaign, temperatures=dropped(campaign.temperatures, lost), before=before)
-
-
-def dropped(table: Temperatures, lost: Sequence[str]) -> Temperatures:
-    """A table without the columns of some sensors."""
-    kept = [j for j, name in enumerate(table.sensor_ids) if name not in lost]
-    return Temperatures(table.t_s, tuple(table.sensor_ids[j] for j in kept), table.value_degC[:, kept])
 
 
 def used_sensors(model: ModelDocument) -> frozenset[str]:

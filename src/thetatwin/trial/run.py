@@ -28,12 +28,10 @@ from thetatwin.trial.readings import (
     ScreenedMonth,
     ScreenedYear,
     as_read,
-    dropped,
     screen_year,
     screened_training,
     screening_model,
     used_sensors,
-    without_sensors,
 )
 from thetatwin.trial.training import Positions, Trained, at_minute, clock_samples, spindle_duty, train
 from thetatwin.writer import write_machine_folder
@@ -204,7 +202,7 @@ class Ready:
     def without(self, lost: frozenset[str]) -> ModelDocument:
         """The model that does not need the sensors `lost`, fitted on the same campaigns."""
         if lost not in self._models:
-            self._models[lost] = train(without_sensors(self._folder, sorted(lost))).model
+            self._models[lost] = train(self._folder.without_sensors(lost)).model
         return self._models[lost]
 
 
@@ -273,7 +271,7 @@ def _predict(
 ) -> None:
     """Fill in what a model says of the moments `rows`, without the sensors that it can do without."""
     known = set(model.in_use)
-    table = dropped(month.temperatures, sorted(lost - used_sensors(model)))
+    table = month.temperatures.without(lost - used_sensors(model))
     table = replace(table, value_degC=table.at(table.t_s))
     asked = [k for k, place in enumerate(places) if place.axis in known]
     axis = tuple(places[k].axis for k in asked for _ in rows)

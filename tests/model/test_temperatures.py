@@ -1,0 +1,78 @@
+"""The one table of temperatures: its sensors by name, two parts as one recording, and what it was between samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thetacomp.errors import AnalysisError
+from thetacomp.model.temperatures import Duty, Temperatures
+
+NAN = np.nan
+
+
+def table() -> Temperatures:
+    """Three sensors over five minutes; b lacks its third sample."""
+    value = np.arange(5.0)[:, None] + np.array([20.0, 30.0, 40.0])
+    value[2, 1] = NAN
+    return Temperatures(60.0 * np.arange(5.0), ("a", "b", "c"), value)
+
+
+def test_named_sensors_come_in_the_order_asked_for() -> None:
+    chosen = table().select(("c", "a"))
+    assert chosen.sensor_ids == ("c", "a")
+    np.testing.assert_array_equal(chosen.value_degC[:2], [[40.0, 20.0], [41.0, 21.0]])
+    assert chosen.t_s.tolist() == table().t_s.tolist()
+    assert table().select(()).value_degC.shape == (5, 0)
+
+
+def test_a_sensor_that_is_absent_is_named() -> None:
+    with pytest.raises(AnalysisError, match=r"no column x, y, which.*found a, b, c\. Fix: "):
+        table().select(("x", "a", "y"))
+
+
+def test_a_sensor_that_is_absent_is_missing_throughout_where_that_is_asked_for() -> None:
+    padded = table().padded(("x", "c"))
+    assert padded.sensor_ids == ("x", "c")
+    assert np.isnan(padded.value_degC[:, 0]).all()
+    np.testing.assert_array_equal(padded.value_degC[:, 1], table().value_degC[:, 2])
+
+
+def test_some_sensors_are_left_out_whether_or_not_they_were_read() -> None:
+    rest = table().without({"a", "x"})
+    assert rest.sensor_ids == ("b", "c")
+    np.testing.assert_array_equal(rest.value_degC, table().value_degC[:, 1:])
+
+
+def test_two_parts_of_a_recording_are_joined_by_the_names_of_their_sensors() -> None:
+    early, late = table().take(slice(None, 2)), table().take(slice(2, None))
+    np.testing.assert_array_equal(early.joined(late.select(("c", "a", "b"))).value_degC, table().value_degC)
+    assert early.select(("b", "c", "a")).joined(late).sensor_ids == ("b", "c", "a")
+
+
+@pytest.mark.parametrize("sensors", [("a", "b"), ("a", "b", "c", "d")])
+def test_parts_with_different_sensors_are_no_recording(sensors: tuple[str, ...]) -> None:
+    with pytest.raises(AnalysisError, match=r"different sensors \((c|d)\)"):
+        table().joined(table().padded(sensors))
+
+
+def test_analysis_bridges_a_missing_sample_and_holds_the_ends_a_machine_does_not() -> None:
+    at_s = np.array([-60.0, 30.0, 120.0, 150.0, 240.0, 270.0, 360.0])
+    np.testing.assert_allclose(table().at(at_s)[:, 1], [30.0, 30.5, 32.0, 32.5, 34.0, 34.0, 34.0])
+    np.testing.assert_allclose(table().unbridged_at(at_s)[:, 1], [NAN, 30.5, NAN, NAN, 34.0, 34.0, NAN])
+    np.testing.assert_allclose(table().bridged().value_degC[:, 1], [30.0, 31.0, 32.0, 33.0, 34.0])
+
+
+def test_a_good_sample_beside_a_missing_one_stands() -> None:
+    np.testing.assert_array_equal(table().unbridged_at(table().t_s), table().value_degC)
+
+
+def test_duty_that_nobody_logged_before_counts_as_standstill() -> None:
+    before = Duty(np.array([-60.0]), {"spindle_rpm": np.array([500.0]), "coolant": np.array([1.0])})
+    later = Duty(np.array([0.0]), {"spindle_rpm": np.array([900.0]), "feed_mm_min": np.array([7.0])})
+    whole = before.joined(later)
+    assert whole.t_s.tolist() == [-60.0, 0.0]
+    assert {name: value.tolist() for name, value in whole.columns.items()} == {
+        "spindle_rpm": [500.0, 900.0],
+        "feed_mm_min": [0.0, 7.0],
+    }
