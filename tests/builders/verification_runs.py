@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from small_models import component, document, term
+from small_models import Part, component, document, term
 
 from thetacomp.model.document import ModelDocument
 
@@ -143,8 +143,8 @@ def sweep_um(
     return error
 
 
-def true_model(leave_out: tuple[str, ...] = (), mode: str = "no cooling") -> ModelDocument:
-    """The machine's law as a stored model, without some components."""
+def true_model(leave_out: tuple[str, ...] = (), mode: str = "no cooling", **other: Part) -> ModelDocument:
+    """The machine's law as a stored model, without some components and with others in their place."""
     parts = {}
     for name, (intercept, slope) in LAW.items():
         if name in leave_out:
@@ -155,4 +155,4 @@ def true_model(leave_out: tuple[str, ...] = (), mode: str = "no cooling") -> Mod
             p=(travel_mm / 2, 0.0, travel_mm),
         )  # fmt: skip
     rises = dict.fromkeys(DRIVE.values(), (-1.0, 15.0))
-    return document({name: direction for name, (direction, _) in AXES.items()}, parts, rises, mode=mode)
+    return document({name: direction for name, (direction, _) in AXES.items()}, parts | other, rises, mode=mode)

@@ -137,7 +137,7 @@ COMPONENT = (*LAW, "components", "EYY")
         ((*COMPONENT, "terms", 0, "constant"), 1e308, "terms.0.constant: 1e+308 is larger than anything"),
         ((*COMPONENT, "terms", 0, "constant"), 1e9, "control.Y: EYY: intercept: 1e+09 is an error that no machine has"),
         ((*COMPONENT, "terms", 1, "coefficients"), [1e6], "control.Y: EYY: slope: 1e+06 is an error"),
-        ((*COMPONENT, "terms", 1, "coefficients"), [], "slope has 0 coefficients for 1 inputs"),
+        ((*COMPONENT, "terms", 1, "coefficients"), [], "EYY: some of its terms have no coefficients"),
         ((*COMPONENT, "terms", 1, "constant"), float("nan"), "NaN is not a number that JSON knows"),
         ((*COMPONENT, "band", "sd"), [-1.0, 1.0], "EYY: band: a variance below zero"),
         ((*COMPONENT, "band", "correlation"), 2.0, "EYY: band: a variance below zero"),

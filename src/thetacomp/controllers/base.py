@@ -68,12 +68,11 @@ class RegisterLaw:
 def register_law(one: ComponentLaw, power: int, scale: float) -> RegisterLaw:
     """What a power of u carries in the error's law times `scale`, which holds the sign and the unit of the register."""
     term = one.component.terms[power]
-    used = [j for j, coefficient in enumerate(term.coefficients) if coefficient]
     return RegisterLaw(
         constant=scale * term.constant if one.law.keeps_constant else 0.0,
-        sensors=tuple(one.inputs[j] for j in used),
-        factors=tuple(scale * term.coefficients[j] for j in used),
-        reference_degC=tuple(float(one.law.zero[j]) for j in used),
+        sensors=one.inputs if term.coefficients else (),
+        factors=tuple(scale * coefficient for coefficient in term.coefficients),
+        reference_degC=tuple(one.law.zero.tolist()) if term.coefficients else (),
     )
 
 

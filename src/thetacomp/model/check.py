@@ -152,13 +152,15 @@ def _component(component: Component, law: AxisLaw, inputs: int, sensors: int) ->
         yield "an axis without a slope, P0 or range of positions"
     for label, term in zip(TERMS, component.terms, strict=False):
         yield from _term(label, term, inputs, sensors, fades=law.border.distance is not None)
+    if len({len(term.coefficients) for term in component.terms}) > 1:
+        yield "some of its terms have no coefficients"
     if component.leverage is not None:
         yield from _leverage("leverage", component.leverage, inputs)
     yield from _band(component.band, len(component.terms))
 
 
 def _term(label: str, term: Term, inputs: int, sensors: int, *, fades: bool) -> Iterator[str]:
-    if len(term.coefficients) != inputs:
+    if len(term.coefficients) != inputs and (term.coefficients or fades):
         yield f"{label} has {len(term.coefficients)} coefficients for {inputs} inputs"
     if term.beyond is not None and len(term.beyond) != sensors:
         yield f"prior of the {label} has {len(term.beyond)} coefficients for {sensors} inputs"

@@ -31,11 +31,12 @@ class Reference(Strict):
 
 
 class Term(Strict):
-    """What one power of u carries: `constant + Σ coefficient_j (x_j - x_j,reference)`, one coefficient an input.
+    """What one power of u carries: `constant + Σ coefficient_j (x_j - x_j,reference)`.
 
-    In µm, µm/m or µm/m² by the power (angles: µrad, µrad/m), the coefficients per unit of the input. `beyond` is the
-    prior, a law on the plain rises of the layout's sensors (per K) that takes over outside the border; None where the
-    law goes on as it is. `r_squared` is in-sample, None where it was not worked out.
+    One coefficient an input; none at all where no input predicts the error, which then stays at its constant. In µm,
+    µm/m or µm/m² by the power (angles: µrad, µrad/m), the coefficients per unit of the input. `beyond` is the prior, a
+    law on the plain rises of the layout's sensors (per K) that takes over outside the border; None where the law goes
+    on as it is. `r_squared` is in-sample, None where it was not worked out.
     """
 
     constant: float = 0.0
@@ -68,7 +69,7 @@ class Component(Strict):
     @property
     def predicted(self) -> bool:
         """False where no input predicts the error: it stays at its constant."""
-        return any(any(term.coefficients) for term in self.terms)
+        return any(term.coefficients for term in self.terms)
 
 
 class Accuracy(Strict):

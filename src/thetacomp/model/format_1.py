@@ -319,6 +319,8 @@ def _static_component(one: _Component, sensors: Sequence[str], leverage: Leverag
 
 
 def _spread(values: Sequence[float], inputs: Sequence[str], sensors: Sequence[str]) -> tuple[float, ...]:
+    if not inputs:
+        return ()
     own = dict(zip(inputs, values, strict=True))
     return tuple(own.get(sensor, 0.0) for sensor in sensors)
 

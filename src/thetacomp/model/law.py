@@ -72,7 +72,8 @@ class Law:
         )
 
     def _terms(self, component: Component, moved: Floats, weight: Floats | None) -> Floats:
-        value = np.array([term.coefficients for term in component.terms]) @ moved.T
+        nothing = (0.0,) * moved.shape[1]
+        value = np.array([term.coefficients or nothing for term in component.terms]) @ moved.T
         if self.keeps_constant:
             value = value + np.array([[term.constant] for term in component.terms])
         if weight is None or any(term.beyond is None for term in component.terms):
@@ -215,7 +216,7 @@ class ComponentLaw:
 
         The bound is left out where the fit has no degree of freedom to tell it.
         """
-        coefficients = np.array(self.component.terms[power].coefficients)
+        coefficients = np.array(self.component.terms[power].coefficients or (0.0,) * len(self.inputs))
         span_K = np.array([box_degC[sensor] for sensor in self.inputs]).reshape(-1, 2) - self.law.zero[:, None]
         # The value is linear in the rises: its extremes are at the corners that the signs of the coefficients choose.
         corners_K = np.array([np.where(coefficients > 0, span_K[:, 1 - side], span_K[:, side]) for side in (0, 1)])
