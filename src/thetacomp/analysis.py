@@ -78,7 +78,7 @@ def _compare(
         DEFAULT: calibrated_history,
         KEY_POINTS: key_point_procedure(prepared.folder.machine),
     }
-    history = judged.model.history
+    history = judged.model.prediction
     return compare_families(
         axis_tasks(prepared), prepared.everything, history, standing, judged.validation, progress, FAMILIES
     )

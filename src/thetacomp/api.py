@@ -23,7 +23,8 @@ from thetacomp.controllers.targets import TARGETS
 from thetacomp.errors import AnalysisError
 from thetacomp.extras import require
 from thetacomp.files import Files, write_files
-from thetacomp.model import document
+from thetacomp.model.document import ModelDocument
+from thetacomp.model.load import load_model as load_stored
 from thetacomp.model.prediction import Prediction, Reference, predict
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.volumetric import VolumePrediction, predict_volume
@@ -117,7 +118,7 @@ class PredictedError:
 class Model:
     """A stored model. `document` is model.json."""
 
-    document: document.ModelDocument
+    document: ModelDocument
 
     def predict(
         self,
@@ -245,7 +246,7 @@ def analyze(
 
 def load_model(path: Path | str) -> Model:
     """A model.json. Raises ModelFileError."""
-    return Model(document.load_model(Path(path)))
+    return Model(load_stored(Path(path)))
 
 
 def verify(

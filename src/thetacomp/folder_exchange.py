@@ -7,6 +7,7 @@ import errno
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
@@ -17,6 +18,8 @@ from thetacomp.files import UNFINISHED, beside_name, flush, not_written
 
 _REPLACED = ".thetacomp-old"
 _LOCK = ".thetacomp-lock"
+_held: set[Path] = set()  # by this process: the system tells processes apart, and not their threads
+_guard = threading.Lock()
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
@@ -24,6 +27,17 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 def only_writer(place: Path) -> Iterator[None]:
     """Hold `place` against every other run that writes there. Raises OutputError where another one does."""
     path = beside_name(place, _LOCK)
+    with _guard:
+        if place in _held:
+            raise _in_use(place)
+        _held.add(place)
+    try:
+        yield from _system_lock(path, place)
+    finally:
+        _held.discard(place)
+
+
+def _system_lock(path: Path, place: Path) -> Iterator[None]:
     handle = _locked(path, place)
     # Another run may have ended, and removed the file, between our open and our lock.
     while not _same_file(handle, path):
@@ -52,17 +66,17 @@ def _locked(path: Path, place: Path) -> int:
 
             msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         else:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.lockf(handle, os.F_TLOCK, 0)
     except OSError as exc:
         if exc.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
             return handle  # a disk over the network that knows no locks
         os.close(handle)
-        raise OutputError(
-            place, "another run of thetacomp is writing here.", "wait until it ends, or name another place."
-        ) from None
+        raise _in_use(place) from None
     return handle
+
+
+def _in_use(place: Path) -> OutputError:
+    return OutputError(place, "another run of thetacomp is writing here.", "wait until it ends, or name another place.")
 
 
 def _same_file(handle: int, path: Path) -> bool:

@@ -11,12 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from small_models import Part
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, CampaignSettings, CorrelationTable, Drift, MachineFolder
 from thetacomp.machine import Axis, HeatSource, Machine, Sensor, SensorRole
-from thetacomp.model.document import Component, LinearTerm, ModelDocument, Reference, Training
+from thetacomp.model.border import Border
+from thetacomp.model.document import AxisLaw, Term
+from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.format_1 import from_format_1
+from thetacomp.model.leverage import regression_leverage
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.sensors.key_points import AxisKeyPoints, StrategyTable, Verdict
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, LinearityTest, Points
@@ -158,25 +163,25 @@ def _drift_separation(campaign: Campaign, component: str, column: int) -> Compon
     )  # fmt: skip
 
 
-def _term(x: Floats, y: Floats) -> LinearTerm:
+def _term(x: Floats, y: Floats) -> Part:
     design = np.column_stack([np.ones(len(x)), x])
     coefficient = np.linalg.lstsq(design, y, rcond=None)[0]
     residual = y - design @ coefficient
     variance = float(residual @ residual / max(len(y) - 2, 1))
     inverse = np.linalg.pinv(design.T @ design)
     total = float(((y - y.mean()) ** 2).sum())
-    return LinearTerm(
-        constant=float(coefficient[0]),
-        coefficients_per_K=(float(coefficient[1]),),
-        covariance=tuple(tuple(float(v) for v in row) for row in variance * inverse),
-        residual_sd=variance**0.5,
-        r_squared=1.0 - float(residual @ residual) / total if total > 0 else 0.0,
-    )
+    return {
+        "constant": float(coefficient[0]),
+        "coefficients_per_K": (float(coefficient[1]),),
+        "covariance": (variance * inverse).tolist(),
+        "residual_sd": variance**0.5,
+        "r_squared": 1.0 - float(residual @ residual) / total if total > 0 else 0.0,
+    }
 
 
 @dataclass(frozen=True)
 class _Fit:
-    component: Component
+    component: Part
     worst_before_um: Floats
     worst_after_um: Floats
 
@@ -188,25 +193,26 @@ def _fit(name: str, parts: Sequence[ComponentSeparation], folder: MachineFolder,
     first = parts[0]
     length_m = (first.p_max_mm - first.p0_mm) / 1000.0
     a, b = _term(rise, intercept), _term(rise, slope)
-    da = intercept - a.constant - a.coefficients_per_K[0] * rise
-    db = slope - b.constant - b.coefficients_per_K[0] * rise
+    da = intercept - a["constant"] - a["coefficients_per_K"][0] * rise
+    db = slope - b["constant"] - b["coefficients_per_K"][0] * rise
     before = np.maximum(np.abs(intercept), np.abs(intercept + slope * length_m))
     after = np.maximum(np.abs(da), np.abs(da + db * length_m))
     start = folder.campaign(first.campaign).temperatures.at(np.r_[first.reference_s])
     j = folder.campaign(first.campaign).temperatures.sensor_ids.index(key)
     moving = first.axis is not None
-    body = f"{a.constant:+.1f} {a.coefficients_per_K[0]:+.2f} ({key} - ref)"
-    lever = f"({b.constant:+.1f} {b.coefficients_per_K[0]:+.2f} ({key} - ref)) (p - {first.p0_mm:g}) / 1000"
-    component = Component(
-        direction=first.direction, axis=first.axis, p0_mm=first.p0_mm if moving else None,  # type: ignore[arg-type]
-        p_min_mm=first.p_min_mm if moving else None, p_max_mm=first.p_max_mm if moving else None,
-        reference=Reference(campaign=first.campaign, t_s=first.reference_s, temperature_degC={key: float(start[0, j])}),
-        inputs=(key,), intercept=a, slope=b if moving else None, residual_correlation=-0.3,
-        dof=max(len(rise) - 2, 1), states=len(rise),
-        residual_um=(float(np.sqrt(np.mean(after**2))), float(after.max())),
-        held_out_um=tuple(1.25 * float(v) for v in (np.sqrt(np.mean(after**2)), np.percentile(after, 95), after.max())),
-        equation=f"{name} = {lever + ' ' if moving else ''}{body}",
-    )  # fmt: skip
+    body = f"{a['constant']:+.1f} {a['coefficients_per_K'][0]:+.2f} ({key} - ref)"
+    lever = f"({b['constant']:+.1f} {b['coefficients_per_K'][0]:+.2f} ({key} - ref)) (p - {first.p0_mm:g}) / 1000"
+    component: Part = {
+        "direction": first.direction, "axis": first.axis, "p0_mm": first.p0_mm if moving else None,
+        "p_min_mm": first.p_min_mm if moving else None, "p_max_mm": first.p_max_mm if moving else None,
+        "reference": {"campaign": first.campaign, "t_s": first.reference_s,
+                      "temperature_degC": {key: float(start[0, j])}},
+        "inputs": (key,), "intercept": a, "slope": b if moving else None, "residual_correlation": -0.3,
+        "dof": max(len(rise) - 2, 1), "states": len(rise),
+        "residual_um": (float(np.sqrt(np.mean(after**2))), float(after.max())),
+        "held_out_um": [1.25 * float(v) for v in (np.sqrt(np.mean(after**2)), np.percentile(after, 95), after.max())],
+        "equation": f"{name} = {lever + ' ' if moving else ''}{body}",
+    }  # fmt: skip
     return _Fit(component, before, after)
 
 
@@ -268,7 +274,7 @@ def _key_points(axis: str, key: str, sensors: Sequence[str]) -> AxisKeyPoints:
 
 def _assemble(folder: MachineFolder, parts: Sequence[ComponentSeparation], keys: dict[str, str], sign: str) -> Analysis:
     """Model, validation and the tables around the given separations."""
-    components: dict[str, Component] = {}
+    components: dict[str, Part] = {}
     validation: list[ValidationRow] = []
     split = "campaign" if len({s.campaign for s in parts if s.component == parts[0].component}) > 1 else "state"
     for name in dict.fromkeys(s.component for s in parts):
@@ -287,14 +293,17 @@ def _assemble(folder: MachineFolder, parts: Sequence[ComponentSeparation], keys:
                 if name in ("EXY", "EZY"):
                     validation += _rows(f"column_{name[1]}", "all", split, fit.worst_before_um, fit.worst_after_um)
     inputs = tuple(dict.fromkeys(keys.values()))
-    model = ModelDocument(
-        version="0.0", created="2026-03-02T10:00:00Z", machine=folder.machine.name, axes=folder.machine.axes,
-        sign=sign, method="linear", components=components,  # type: ignore[arg-type]
-        training=Training(
-            campaigns=tuple(c.name for c in folder.campaigns), mode="no cooling", instrument="Leica AT901-B",
-            datum="campaign", range_degC=dict.fromkeys(inputs, (19.0, 31.5)),
-            range_rise_K=dict.fromkeys(inputs, (0.0, 12.0)),
-        ),
+    model = from_format_1(
+        {
+            "kind": "thetacomp model", "format": 1, "version": "0.0", "created": "2026-03-02T10:00:00Z",
+            "machine": folder.machine.name, "axes": folder.machine.axes, "sign": sign, "method": "linear",
+            "components": components,
+            "training": {
+                "campaigns": tuple(c.name for c in folder.campaigns), "mode": "no cooling",
+                "instrument": "Leica AT901-B", "datum": "campaign",
+                "range_degC": dict.fromkeys(inputs, (19.0, 31.5)), "range_rise_K": dict.fromkeys(inputs, (0.0, 12.0)),
+            },
+        }
     )  # fmt: skip
     states: dict[str, Floats] = {}
     columns: dict[str, Floats] = {}
@@ -444,62 +453,66 @@ def nasty_names_analysis() -> Analysis:
 def no_key_point_analysis() -> Analysis:
     """No sensor predicts what happens while Y moves: its components have no input and predict no error at all."""
     analysis = sweeps_analysis(states=5)
-    zero = LinearTerm(constant=0.0, coefficients_per_K=(), covariance=((0.0,),), residual_sd=30.0, r_squared=-0.4)
-    components = dict(analysis.model.components)
-    for name, component in components.items():
-        if component.axis == "Y":
-            nothing = component.reference.model_copy(update={"temperature_degC": {}})
-            components[name] = component.model_copy(
-                update={"inputs": (), "intercept": zero, "slope": zero, "reference": nothing, "through_zero": True,
-                        "equation": f"{name} = (0) Y/1000 + (0)   [µm; Y in mm]"}
-            )  # fmt: skip
+    law = analysis.model.control["Y"]
+    blind = Term(coefficients=(), r_squared=-0.4)
+    components = {
+        name: component.model_copy(
+            update={"terms": (blind, blind), "band": replace(component.band, sd=(30.0, 30.0)), "leverage": None,
+                    "through_zero": True, "equation": f"{name} = (0) Y/1000 + (0)   [µm; Y in mm]"}
+        )
+        for name, component in law.components.items()
+    }  # fmt: skip
+    nothing = law.model_copy(
+        update={"layout": HistoryLayout.plain(()), "reference": law.reference.model_copy(update={"inputs": ()}),
+                "leverage": law.leverage.of_inputs(()), "border": Border(), "components": components}
+    )  # fmt: skip
     points = tuple(replace(p, key_points=()) if p.axis == "Y" else p for p in analysis.key_points)
-    return replace(analysis, model=analysis.model.model_copy(update={"components": components}), key_points=points)
+    control = {**analysis.model.control, "Y": nothing}
+    return replace(analysis, model=analysis.model.model_copy(update={"control": control}), key_points=points)
 
 
-def _two_inputs(component: Component, folder: MachineFolder, parts: Sequence[ComponentSeparation]) -> Component:
-    """The component fitted anew on its own input and theta_14, through zero."""
-    inputs = (*component.inputs, "theta_14")
-    rise = np.column_stack(
-        [np.concatenate([_rise(folder.campaign(s.campaign), i, s.t_s, s.reference_s) for s in parts]) for i in inputs]
-    )
-
-    def term(y: Floats) -> LinearTerm:
+def _two_inputs(law: AxisLaw, folder: MachineFolder, parts: Sequence[ComponentSeparation]) -> AxisLaw:
+    """The law of an axis fitted anew on its own input and theta_14, through zero."""
+    inputs = (*law.layout.sensors, "theta_14")
+    components, shapes = {}, []
+    for name, component in law.components.items():
+        own = [s for s in parts if s.component == name]
+        columns = [[_rise(folder.campaign(s.campaign), i, s.t_s, s.reference_s) for s in own] for i in inputs]
+        rise = np.column_stack([np.concatenate(column) for column in columns])
+        targets = [np.concatenate([s.intercept_um for s in own])]
+        targets += [np.concatenate([s.slope_um_per_m for s in own])] * (len(component.terms) > 1)
         inverse = np.linalg.inv(rise.T @ rise)
-        coefficient = inverse @ rise.T @ y
-        residual = y - rise @ coefficient
-        variance = float(residual @ residual / (len(y) - 2))
-        covariance = np.zeros((3, 3))
-        covariance[1:, 1:] = variance * inverse
-        return LinearTerm(
-            constant=0.0, coefficients_per_K=(float(coefficient[0]), float(coefficient[1])),
-            covariance=tuple(tuple(float(v) for v in row) for row in covariance), residual_sd=variance**0.5,
-            r_squared=1.0 - float(residual @ residual) / float(((y - y.mean()) ** 2).sum()),
-        )  # fmt: skip
-
-    start = folder.campaign(parts[0].campaign).temperatures.at(np.r_[parts[0].reference_s])[0]
-    sensors = folder.campaign(parts[0].campaign).temperatures.sensor_ids
-    reference = component.reference.model_copy(
-        update={"temperature_degC": {i: float(start[sensors.index(i)]) for i in inputs}}
-    )
-    return component.model_copy(
-        update={"inputs": inputs, "reference": reference, "through_zero": True,
-                "intercept": term(np.concatenate([s.intercept_um for s in parts])),
-                "slope": term(np.concatenate([s.slope_um_per_m for s in parts]))}
+        terms, sds = [], []
+        for y in targets:
+            coefficient = inverse @ rise.T @ y
+            residual = y - rise @ coefficient
+            sds.append(float(residual @ residual / (len(y) - 2)) ** 0.5)
+            r_squared = 1.0 - float(residual @ residual) / float(((y - y.mean()) ** 2).sum())
+            terms.append(Term(coefficients=tuple(coefficient.tolist()), r_squared=r_squared))
+        unscaled = np.zeros((3, 3))
+        unscaled[1:, 1:] = inverse
+        shapes.append(regression_leverage(unscaled))
+        band = replace(component.band, sd=tuple(sds))
+        components[name] = component.model_copy(
+            update={"terms": tuple(terms), "band": band, "leverage": shapes[-1], "through_zero": True}
+        )
+    start = folder.campaign(law.reference.campaign).temperatures.at(np.r_[law.reference.t_s])[0]
+    sensors = folder.campaign(law.reference.campaign).temperatures.sensor_ids
+    reference = law.reference.model_copy(update={"inputs": tuple(float(start[sensors.index(i)]) for i in inputs)})
+    border = Border(dict.fromkeys(inputs, (19.0, 31.5)), dict.fromkeys(inputs, (0.0, 12.0)))
+    return law.model_copy(
+        update={"layout": HistoryLayout.plain(inputs), "reference": reference, "leverage": shapes[0],
+                "border": border, "components": components}
     )  # fmt: skip
 
 
 def two_inputs_analysis() -> Analysis:
     """A model with two inputs for every component, as the choice of sensors often ends."""
     analysis = sweeps_analysis()
-    components = {
-        name: _two_inputs(component, analysis.folder, [s for s in analysis.separations if s.component == name])
-        for name, component in analysis.model.components.items()
+    control = {
+        axis: _two_inputs(law, analysis.folder, analysis.separations) for axis, law in analysis.model.control.items()
     }
-    ranges = {**analysis.model.training.range_degC, "theta_14": (19.0, 31.5)}
-    rises = {**analysis.model.training.range_rise_K, "theta_14": (0.0, 12.0)}
-    training = analysis.model.training.model_copy(update={"range_degC": ranges, "range_rise_K": rises})
-    return replace(analysis, model=analysis.model.model_copy(update={"components": components, "training": training}))
+    return replace(analysis, model=analysis.model.model_copy(update={"control": control}))
 
 
 KINDS = {

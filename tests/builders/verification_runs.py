@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from small_models import component, document, term
+from small_models import Part, component, document, term
 
 from thetacomp.model.document import ModelDocument
 
@@ -143,15 +143,16 @@ def sweep_um(
     return error
 
 
-def true_model() -> ModelDocument:
-    """The machine's law as a stored model."""
+def true_model(leave_out: tuple[str, ...] = (), mode: str = "no cooling", **other: Part) -> ModelDocument:
+    """The machine's law as a stored model, without some components and with others in their place."""
     parts = {}
     for name, (intercept, slope) in LAW.items():
+        if name in leave_out:
+            continue
         _, travel_mm = AXES[name[2]]
         parts[name] = component(
             name, term(0.0, intercept, sd=4.0), term(0.0, slope, sd=2.0), {DRIVE[name[2]]: 20.0},
             p=(travel_mm / 2, 0.0, travel_mm),
         )  # fmt: skip
     rises = dict.fromkeys(DRIVE.values(), (-1.0, 15.0))
-    made = document({name: direction for name, (direction, _) in AXES.items()}, parts, rises)
-    return made.model_copy(update={"training": made.training.model_copy(update={"mode": "no cooling"})})
+    return document({name: direction for name, (direction, _) in AXES.items()}, parts | other, rises, mode=mode)

@@ -230,13 +230,11 @@ def test_the_sheet_names_the_workpiece_where_a_register_follows_it() -> None:
 def inexact(reference_degC: float) -> ModelDocument:
     """A mill whose reference has many digits."""
     made = mill()
-    parts = {
-        name: part.model_copy(
-            update={"reference": part.reference.model_copy(update={"temperature_degC": {"t": reference_degC}})}
-        )
-        for name, part in made.components.items()
+    laws = {
+        axis: law.model_copy(update={"reference": law.reference.model_copy(update={"inputs": (reference_degC,)})})
+        for axis, law in made.control.items()
     }
-    return made.model_copy(update={"components": parts})
+    return made.model_copy(update={"control": laws})
 
 
 @pytest.mark.parametrize(
@@ -343,10 +341,10 @@ def test_sign_tests_are_made_at_the_end_that_is_farther_from_p0() -> None:
     assert (z.where, z.enter) == ("Z1 at 500.0 mm", "$SN_CEC_TABLE_WEIGHT[1] = 0.250000")
     assert [test.movement_um for test in (tan_beta, y, z)] == pytest.approx([10.0, 9.99975, 10.0])
     other = mill()
-    parts = other.components
-    for name in ("EXX", "EXZ"):
-        parts = parts | {name: parts[name].model_copy(update={"p0_mm": 900.0, "p_max_mm": 1000.0, "p_min_mm": -20.0})}
-    _, tan_beta, _, z = sign_tests(make_plan(other.model_copy(update={"components": parts}), SinumerikSettings()))
+    laws = dict(other.control)
+    for axis in ("X", "Z"):
+        laws[axis] = laws[axis].model_copy(update={"p0_mm": 900.0, "p_max_mm": 1000.0, "p_min_mm": -20.0})
+    _, tan_beta, _, z = sign_tests(make_plan(other.model_copy(update={"control": laws}), SinumerikSettings()))
     assert (tan_beta.where, z.where) == ("X1 at -20.0 mm", "Z1 at -20.0 mm")
     # 100 µm/m over -920 mm is -0.092 mm: the weight is negative, the tool moves against +10 µm of error all the same.
     assert z.enter == "$SN_CEC_TABLE_WEIGHT[1] = -0.108696"
@@ -384,14 +382,21 @@ def test_what_heat_history_would_do_better_is_told_component_by_component() -> N
             self.components = components
 
     made = plan()
-    parts = {
-        name: part.model_copy(update={"held_out_um": (10.0, 20.0, 30.0)})
-        for name, part in made.model.components.items()
+    laws = {
+        axis: law.model_copy(
+            update={
+                "components": {
+                    name: part.model_copy(update={"held_out_um": (10.0, 20.0, 30.0)})
+                    for name, part in law.components.items()
+                }
+            }
+        )
+        for axis, law in made.model.control.items()
     }
-    model = made.model.model_copy(update={"components": parts})
+    model = made.model.model_copy(update={"control": laws})
 
     def told(**history: OfAxis) -> str:
-        changed = model.model_copy(update={"history": history})
+        changed = model.model_copy(update={"prediction": history})
         return " ".join(left_to_history(replace(made, model=changed)))
 
     assert told() == ""

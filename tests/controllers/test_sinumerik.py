@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_models import component, document, nothing_predicts, term, three_axes
+from small_models import PLACES, component, document, nothing_predicts, term, three_axes
 from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
@@ -22,7 +22,7 @@ from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.controllers.sinumerik_remarks import differing
 from thetacomp.errors import InputError
 from thetacomp.model.document import ModelDocument
-from thetacomp.model.law import laws
+from thetacomp.model.law import component_laws
 
 FILES = (
     "sinumerik_temperature_compensation.spf",
@@ -108,7 +108,7 @@ def console(tmp_path: Path) -> tuple[int, str]:
 
 def states(model: ModelDocument) -> list[dict[str, float]]:
     """All corners of the training range and its middle: inputs out of step with each other."""
-    ranges = model.training.range_degC
+    ranges = {s: span for law in model.control.values() for s, span in law.border.temperature_degC.items()}
     corners = [dict(zip(ranges, corner, strict=True)) for corner in itertools.product(*ranges.values())]
     return [*corners, {sensor: sum(limits) / 2 for sensor, limits in ranges.items()}]
 
@@ -118,9 +118,9 @@ def errors_um(
 ) -> dict[str, float]:
     """`intercept + slope` parts of every component, each by hand from the document."""
     out = {}
-    for name, law in laws(model, reference.get("reference_degC")).items():
+    for name, law in component_laws(model.control, reference.get("reference_degC")).items():
         rises = law.rises_K(np.array([[degC[s] for s in law.inputs]]))
-        out[name] = float(law.error_um(rises, np.array([p[law.component.axis or ""]]))[0])
+        out[name] = float(law.error_um(rises, np.array([p[law.axis]]))[0])
     return out
 
 
@@ -140,13 +140,13 @@ def test_replay_takes_away_the_error_of_the_model(
         for corner in range(4):
             p = {}
             for axis in "XYW":
-                one = next(c for c in model.components.values() if c.axis == axis)
+                one = model.control[axis]
                 low, high = one.p_min_mm, one.p_max_mm
                 assert low is not None
                 assert high is not None
                 p[axis] = float(rng.uniform(low, high)) if corner else low
             by_name = errors_um(model, degC, p)
-            at_p0 = errors_um(model, degC, {c.axis or "": c.p0_mm or 0.0 for c in model.components.values()})
+            at_p0 = errors_um(model, degC, {axis: law.p0_mm or 0.0 for axis, law in model.control.items()})
             for direction, axis in zip("XYZ", "XYW", strict=True):
                 # One intercept (the axis along the direction), the slope part of all three axes.
                 wanted = at_p0[f"E{direction}{axis}"]
@@ -480,9 +480,7 @@ def test_failed_acceptance_checks_are_told_everywhere_and_end_with_3(tmp_path: P
 
 def test_error_that_no_sensor_predicts_is_not_compensated(tmp_path: Path) -> None:
     """EXX has no input: the drift of X comes from the sweep along Y, X has no tanβ; the rest is as without EXX."""
-    model = three_axes()
-    parts = {**model.components, "EXX": nothing_predicts("EXX", 7.0)}
-    folder = export(tmp_path, model.model_copy(update={"components": parts}))
+    folder = export(tmp_path, three_axes(EXX=nothing_predicts("EXX", 7.0, p=PLACES["X"])))
     control = load(folder, {1: "X1", 2: "Y1", 3: "W1"})
     assert control.machine_data["$MA_TEMP_COMP_TYPE[X1]"] == "1"
     assert "tanbeta[X1]" not in control.laws
@@ -505,9 +503,8 @@ def test_nothing_to_export_is_one_clear_message(tmp_path: Path) -> None:
 
 
 def test_drift_source_that_no_sensor_predicts_is_refused(tmp_path: Path) -> None:
-    model = three_axes()
-    parts = {**model.components, "EXY": nothing_predicts("EXY")}
-    export(tmp_path, model.model_copy(update={"components": parts}), "[drift_source]\nX = 'EXY'\n", expect=1)
+    model = three_axes(EXY=nothing_predicts("EXY", p=PLACES["Y"]))
+    export(tmp_path, model, "[drift_source]\nX = 'EXY'\n", expect=1)
 
 
 def drifts(other_um_per_K: float, dof: int = 8, sd: float = 3.0) -> ModelDocument:
@@ -560,9 +557,10 @@ def test_bound_without_a_degree_of_freedom_claims_nothing(tmp_path: Path) -> Non
 
 def test_held_out_figures_stand_before_those_of_the_training(tmp_path: Path) -> None:
     model = three_axes()
-    parts = dict(model.components)
-    parts["EXX"] = parts["EXX"].model_copy(update={"held_out_um": (18.25, 31.04, 44.0), "residual_um": (3.3, 6.6)})
-    folder = export(tmp_path, model.model_copy(update={"components": parts}))
+    law = model.control["X"]
+    exx = law.components["EXX"].model_copy(update={"held_out_um": (18.25, 31.04, 44.0), "residual_um": (3.3, 6.6)})
+    judged = law.model_copy(update={"components": law.components | {"EXX": exx}})
+    folder = export(tmp_path, model.model_copy(update={"control": {**model.control, "X": judged}}))
     sheet = (folder / FILES[3]).read_text(encoding="utf-8")
     valid = sheet[sheet.index("8 Where this is valid") :]
     heads = re.findall(r"<th>([^<]*)</th>", valid)[4:9]

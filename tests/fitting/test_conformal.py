@@ -19,11 +19,11 @@ from thetacomp.fitting.conformal import (
     conformal_quantile,
     crossed_quantile,
     held_out_leverage,
-    training_reach,
+    training_leverage,
 )
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
 from thetacomp.model.band import Band
-from thetacomp.model.leverage import Reach
+from thetacomp.model.leverage import Leverage
 
 MACHINES = 6
 CALIBRATION = 40
@@ -35,7 +35,7 @@ class Calibrated:
     """A band on campaigns that neither the model nor the band has seen: errors and half widths (n,) in µm."""
 
     band: Band
-    reach: Reach
+    leverage: Leverage
     error_um: Floats
     half_um: Floats
 
@@ -54,9 +54,9 @@ def calibrated(seed: int, campaigns: int) -> Calibrated:
     left_out = model.left_out_coef_[np.searchsorted(model.groups_, known.campaign)]
     residual_um = known.displacement_um - np.einsum("ij,ij->i", inputs, left_out)
     rows = HeldOut(residual_um, held_out_leverage(inputs, known.campaign), known.campaign)
-    band, reach = calibrate_band(rows), training_reach(inputs, known.campaign)
+    band, leverage = calibrate_band(rows), training_leverage(inputs, known.campaign)
     error_um = unseen.displacement_um - model.predict(new)
-    return Calibrated(band, reach, error_um, band.half_width_um(reach.leverage(new)))
+    return Calibrated(band, leverage, error_um, band.half_width_um(leverage.at(new)))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_degrees_of_freedom_follow_the_scatter_between_campaigns() -> None:
 
     def factor(residual_um: Floats) -> float:
         band = calibrate_band(HeldOut(residual_um, np.full(3000, 1e-6), campaign))
-        scores = np.abs(residual_um) / band.scale.at(np.full(3000, 1e-6))
+        scores = np.abs(residual_um) / replace(band, quantile=1.0).half_width_um(np.full(3000, 1e-6))
         return band.quantile / float(np.sqrt(np.mean(scores**2)))
 
     # 3000 independent residuals: nearly the normal quantile; six errors: Student's t of about six
@@ -149,9 +149,9 @@ def test_crossed_quantile_lies_between_the_plain_and_the_worst_case() -> None:
 
 
 def test_band_is_narrow_at_the_reference_and_widens_with_distance(bands: list[Calibrated]) -> None:
-    band, reach = bands[1].band, bands[1].reach
-    half_um = band.half_width_um(reach.leverage(np.outer([0.0, 1.0, 10.0, 100.0], reach.scale)))
-    assert half_um[0] == pytest.approx(band.quantile * band.scale.base_um)
+    band, leverage = bands[1].band, bands[1].leverage
+    half_um = band.half_width_um(leverage.at(np.outer([0.0, 1.0, 10.0, 100.0], leverage.scale)))
+    assert half_um[0] == pytest.approx(band.quantile * band.sd[0])
     assert np.all(np.diff(half_um) > 0)
     # far out the half width grows in proportion to the distance
     assert half_um[3] == pytest.approx(10 * half_um[2], rel=0.25)
@@ -160,9 +160,9 @@ def test_band_is_narrow_at_the_reference_and_widens_with_distance(bands: list[Ca
 def test_leverage_is_the_textbook_one_without_the_floor() -> None:
     rng = np.random.default_rng(5)
     inputs = rng.normal(size=(200, 3)) @ rng.normal(size=(3, 3))
-    reach = replace(training_reach(inputs, np.repeat(np.arange(4), 50)), floor=1e-9)
+    leverage = replace(training_leverage(inputs, np.repeat(np.arange(4), 50)), floor=1e-9)
     expected = np.einsum("ij,jk,ik->i", inputs, np.linalg.inv(inputs.T @ inputs / 200), inputs)
-    np.testing.assert_allclose(reach.leverage(inputs), expected, rtol=1e-5)
+    np.testing.assert_allclose(leverage.at(inputs), expected, rtol=1e-5)
 
 
 def test_band_goes_through_json_unchanged(bands: list[Calibrated]) -> None:
@@ -187,7 +187,7 @@ def test_left_out_coefficients_have_not_seen_their_campaign() -> None:
 def test_held_out_leverage_is_that_of_the_other_campaigns() -> None:
     rng = np.random.default_rng(6)
     inputs, campaign = rng.normal(size=(60, 3)), np.repeat(np.arange(3), 20)
-    expected = training_reach(inputs[20:], campaign[20:]).leverage(inputs[:20])
+    expected = training_leverage(inputs[20:], campaign[20:]).at(inputs[:20])
     np.testing.assert_allclose(held_out_leverage(inputs, campaign)[:20], expected)
 
 

@@ -15,11 +15,11 @@ from thetacomp.analysis_result import Analysis
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign
 from thetacomp.cli.main import app
-from thetacomp.errors import AnalysisError, ModelFileError
-from thetacomp.model.document import load_model
+from thetacomp.errors import AnalysisError
+from thetacomp.model.check import problems
 from thetacomp.model.fallback import degraded
 from thetacomp.model.filters import run_filters
-from thetacomp.model.history_law import check_history
+from thetacomp.model.load import load_model
 from thetacomp.model.prediction import Prediction, predict
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.report.figures_fit import fit_over_temperature
@@ -49,7 +49,7 @@ def predicted(analysis: Analysis, heat: Campaign, reference: str | float = "firs
 
 
 def test_default_follows_the_lag_that_key_points_cannot(analysis: Analysis) -> None:
-    assert set(analysis.model.history) == {"Y"}
+    assert set(analysis.model.prediction) == {"Y"}
     assert rms_after(analysis, "default") < 0.6 * rms_after(analysis, "key_points")
     # sweeps cannot be predicted better than their noise
     assert NOISE_UM <= rms_after(analysis, "default") < 1.7 * NOISE_UM
@@ -87,7 +87,7 @@ def test_error_is_zero_at_the_reference_whichever_it_is(analysis: Analysis) -> N
     unseen = campaign(9)
     assert predicted(analysis, unseen).error_um[0, 1] == 0.0
     assert predicted(analysis, unseen, 9000.0).error_um[10, 1] == pytest.approx(0.0, abs=1e-12)
-    stored = analysis.model.history["Y"].reference
+    stored = analysis.model.prediction["Y"].reference
     own = analysis.folder.campaign(stored.campaign)
     at_s = np.array([stored.t_s])
     zero = predict(analysis.model, own.temperatures, Rows(at_s, ("Y",), np.array([1800.0])), "model", duty=own.duty)
@@ -96,13 +96,13 @@ def test_error_is_zero_at_the_reference_whichever_it_is(analysis: Analysis) -> N
 
 def test_too_few_campaigns_leave_the_key_points_as_default() -> None:
     two = analyze_folder(folder(1, 2))
-    assert two.model.history == {}
+    assert two.model.prediction == {}
     assert not [row for row in two.validation if row.model == "key_points"]
 
 
 def test_named_tests_leave_enough_campaigns_to_train_on() -> None:
     named = analyze_folder(folder(1, 2, 3), train=["c1", "c2"], test=["c3"])
-    assert named.model.history["Y"].campaigns == 2
+    assert named.model.prediction["Y"].border.distance.campaigns == 2
     assert {row.model for row in named.validation} >= {"default", "key_points"}
 
 
@@ -149,11 +149,13 @@ def test_a_gap_stays_a_gap(analysis: Analysis) -> None:
 
 
 def test_a_document_that_contradicts_itself_is_refused(analysis: Analysis) -> None:
-    axis = analysis.model.history["Y"]
-    short = axis.components["EYY"].model_copy(update={"intercept_um": (1.0, 2.0)})
-    broken = axis.model_copy(update={"components": {"EYY": short}})
-    with pytest.raises(ModelFileError, match="EYY: intercept has 2 coefficients"):
-        check_history("Y", broken)
+    axis = analysis.model.prediction["Y"]
+    intercept, *others = axis.components["EYY"].terms
+    short = intercept.model_copy(update={"coefficients": (1.0, 2.0)})
+    eyy = axis.components["EYY"].model_copy(update={"terms": (short, *others)})
+    broken = {"Y": axis.model_copy(update={"components": {"EYY": eyy}, "fallbacks": ()})}
+    (told,) = problems(analysis.model.model_copy(update={"prediction": broken}))
+    assert "EYY: intercept has 2 coefficients" in told
 
 
 def test_predict_on_the_command_line_asks_for_the_duty(analysis: Analysis, tmp_path: Path) -> None:
@@ -185,7 +187,7 @@ def test_export_carries_the_law_on_key_temperatures_and_says_what_it_gives_away(
         app, ["export", str(tmp_path / "model.json"), "--target", "sinumerik", "--out", str(tmp_path / "x")]
     )
     assert "the control carries the law on key temperatures" in out.output
-    static, history = analysis.model.components["EYY"].held_out_um, analysis.model.history["Y"].components["EYY"]
+    static, history = analysis.model.components["EYY"].held_out_um, analysis.model.prediction["Y"].components["EYY"]
     assert static is not None
     assert history.held_out_um is not None
     assert f"EYY {static[0]:.1f} instead of {history.held_out_um[0]:.1f} µm" in out.output
@@ -204,21 +206,22 @@ def test_a_duty_table_of_another_clock_is_refused(analysis: Analysis, shift_s: f
 
 def test_the_cost_of_leaving_heat_history_counts_from_heat_history(analysis: Analysis) -> None:
     """The law on key temperatures takes over: the full error told is that of the model that was in use."""
-    model, axis = analysis.model, analysis.model.history["Y"]
-    lost = model.fallbacks[0].lost
+    model, axis = analysis.model, analysis.model.prediction["Y"]
+    first = model.control["Y"].fallbacks[0]
+    lost = first.lost
     kept = tuple(fallback for fallback in axis.fallbacks if fallback.lost != lost)
-    rest = degraded(model.model_copy(update={"history": {"Y": axis.model_copy(update={"fallbacks": kept})}}), {lost})
+    rest = degraded(model.model_copy(update={"prediction": {"Y": axis.model_copy(update={"fallbacks": kept})}}), {lost})
     told = rest.replaced["EYY"]
-    assert "Y" not in rest.model.history
+    assert "Y" not in rest.model.prediction
     assert told is not None
     assert told.full_rms_um == kept[0].accuracy["EYY"].full_rms_um
-    assert told.without_rms_um == model.fallbacks[0].accuracy["EYY"].without_rms_um
+    assert told.without_rms_um == first.accuracy["EYY"].without_rms_um
 
 
 def test_pictures_of_the_law_on_key_points_do_not_pass_for_the_model_in_use(analysis: Analysis) -> None:
-    # the two pictures draw model.components; with heat history that is not what a prediction comes from
+    # the two pictures draw model.control; with heat history that is not what a prediction comes from
     captions = [figure.caption for figure in fit_over_temperature(analysis)]
     assert captions
     assert all("the law on key points (not the heat history in use)" in caption for caption in captions)
-    static = replace(analysis, model=analysis.model.model_copy(update={"history": {}}))
+    static = replace(analysis, model=analysis.model.model_copy(update={"prediction": {}}))
     assert all("the stored model" in figure.caption for figure in fit_over_temperature(static))

@@ -18,10 +18,11 @@ from thetacomp.fitting.lost_sensors import with_fallbacks
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
 from thetacomp.folds import hold_out
 from thetacomp.machine import Axis, Machine, Sensor
-from thetacomp.model.document import HistoryAxis, ModelDocument, load_model
-from thetacomp.model.fallback import degraded, switch
-from thetacomp.model.history_law import HistoryLaw, HistoryMoments, check_history, without_sensor
-from thetacomp.model.law import laws
+from thetacomp.model.check import problems
+from thetacomp.model.document import AxisLaw, ModelDocument, Training
+from thetacomp.model.fallback import carry_over, degraded, without_sensor
+from thetacomp.model.law import Law, component_laws
+from thetacomp.model.load import load_model
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_folder
 from thetacomp.states import AxisStates, axis_states
@@ -82,11 +83,11 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> ModelDocument:
 
 
 def test_every_key_sensor_has_a_fallback_that_is_stored_with_its_accuracy(stored: ModelDocument) -> None:
-    assert [fallback.lost for fallback in stored.fallbacks] == ["nut", "bed"]
-    without_nut, without_bed = stored.fallbacks
-    assert without_nut.components["EXY"].inputs == ("bearing", "bed")
-    assert without_bed.components["EXY"].inputs == ("nut",)
-    for fallback in stored.fallbacks:
+    without_nut, without_bed = stored.control["Y"].fallbacks
+    assert (without_nut.lost, without_bed.lost) == ("nut", "bed")
+    assert without_nut.layout.sensors == ("bearing", "bed")
+    assert without_bed.layout.sensors == ("nut",)
+    for fallback in stored.control["Y"].fallbacks:
         assert fallback.accuracy.keys() == fallback.components.keys() == {"EXY", "EYY", "EZY"}
         for accuracy in fallback.accuracy.values():
             assert accuracy.full_rms_um < accuracy.without_rms_um < 0.4 * accuracy.nothing_rms_um
@@ -100,7 +101,7 @@ def test_accuracy_of_a_fallback_is_held_out(stored: ModelDocument) -> None:
         samples = rest.samples[0].take(np.isin(rest.samples[0].state, fold.test))
         errors.append(samples.value_um - procedure(rest.take(fold.train)).predict("EXY", rest, samples)[0])
     expected = np.sqrt(np.mean(np.concatenate(errors) ** 2))
-    assert stored.fallbacks[0].accuracy["EXY"].without_rms_um == pytest.approx(expected)
+    assert stored.control["Y"].fallbacks[0].accuracy["EXY"].without_rms_um == pytest.approx(expected)
 
 
 def test_a_lost_sensor_degrades_the_model_and_two_may_end_a_component(stored: ModelDocument) -> None:
@@ -111,8 +112,8 @@ def test_a_lost_sensor_degrades_the_model_and_two_may_end_a_component(stored: Mo
     assert one.ended == ()
     # the degraded model is a model: its laws are made from it and predict nearly what the whole one does
     state = {"nut": 28.0, "bearing": 26.4, "bed": 21.0}
-    for name, law in laws(one.model).items():
-        full = laws(stored)[name]
+    for name, law in component_laws(one.model.control).items():
+        full = component_laws(stored.control)[name]
 
         def error_um(at):  # type: ignore[no-untyped-def]
             rises = at.rises_K(np.array([[state[sensor] for sensor in at.inputs]]))
@@ -121,41 +122,45 @@ def test_a_lost_sensor_degrades_the_model_and_two_may_end_a_component(stored: Mo
         assert error_um(law) == pytest.approx(error_um(full), abs=0.2 * abs(error_um(full)) + 3.0)
     two = degraded(stored, {"nut", "bed"})
     assert set(two.ended) == {"EXY", "EYY", "EZY"}
-    assert two.model.components == {}
+    assert two.model.control == {}
     # a sensor of the fallback alone is not missed while the key sensor is there
     assert degraded(stored, {"bearing"}).replaced == {}
 
 
 def test_the_most_accurate_fallback_is_taken(stored: ModelDocument) -> None:
-    first, uses_the_nut = stored.fallbacks
+    law = stored.control["Y"]
+    first, uses_the_nut = law.fallbacks
     accuracy = first.accuracy["EXY"].model_copy(update={"without_rms_um": 99.0})
     marked = first.components["EXY"].model_copy(update={"equation": "the worse one"})
-    worse = first.model_copy(update={"accuracy": {"EXY": accuracy}, "components": {"EXY": marked}})
-    document = stored.model_copy(update={"fallbacks": (worse, uses_the_nut, first)})
+    worse = first.model_copy(
+        update={"accuracy": first.accuracy | {"EXY": accuracy}, "components": first.components | {"EXY": marked}}
+    )
+    changed = law.model_copy(update={"fallbacks": (worse, uses_the_nut, first)})
+    document = stored.model_copy(update={"control": {"Y": changed}})
     assert degraded(document, {"nut"}).model.components["EXY"] == first.components["EXY"]
 
 
 def test_models_without_fallbacks_are_read_as_before(stored: ModelDocument) -> None:
     raw = stored.model_dump(mode="json")
-    del raw["fallbacks"]
-    assert ModelDocument.model_validate(raw).fallbacks == ()
+    del raw["control"]["Y"]["fallbacks"]
+    assert ModelDocument.model_validate(raw).control["Y"].fallbacks == ()
 
 
 def test_the_switch_makes_no_bump_and_decays() -> None:
     # intercept and slope are carried, so no position jumps
-    carried = switch(100.0, output=(40.0, -6.0), model=(31.0, -4.5), decay_s=3600.0)
+    carried = carry_over(100.0, output=(40.0, -6.0), law=(31.0, -4.5), decay_s=3600.0)
     assert np.add((31.0, -4.5), carried.at(100.0)) == pytest.approx((40.0, -6.0))
     later = np.array([carried.at(100.0 + t) for t in range(0, 36000, 60)])
     # closed form: the fastest change is the value over the time constant
     assert np.max(np.abs(np.diff(later[:, 0]))) <= 9.0 / 3600.0 * 60.0 + 1e-12
     assert np.all(np.diff(np.abs(later), axis=0) < 0)
     assert carried.at(3700.0)[0] == pytest.approx(9.0 / np.e)
-    kept = switch(100.0, (40.0,), (31.0,), decay_s=None)
+    kept = carry_over(100.0, (40.0,), (31.0,), decay_s=None)
     assert kept.at(1e6) == (9.0,)
     # back to the whole model in the middle of the decay: again no bump
     output = 31.0 + carried.at(2000.0)[0]
-    assert 35.0 + switch(2000.0, (output,), (35.0,)).at(2000.0)[0] == pytest.approx(output)
-    with pytest.raises(ValueError, match="before the switch"):
+    assert 35.0 + carry_over(2000.0, (output,), (35.0,)).at(2000.0)[0] == pytest.approx(output)
+    with pytest.raises(ValueError, match="before the change"):
         carried.at(0.0)
 
 
@@ -180,26 +185,37 @@ def test_history_model_goes_on_without_any_of_its_sensors() -> None:
     assert tuple(fallback.lost for fallback in axis.fallbacks) == SENSORS
     kept = []
     for fallback in axis.fallbacks:
-        rest = without_sensor(axis, fallback.lost)
-        assert rest is not None
-        check_history("", rest)
+        rest = without_sensor(axis, fallback)
+        assert problems(with_law(rest)) == []
         assert fallback.lost not in rest.layout.sensors
         columns = [SENSORS.index(name) for name in rest.layout.sensors]
         degC = unseen.temperature_degC[:, columns]
-        law = HistoryLaw(rest, HistoryMoments(inputs_of(unseen, rest.layout), degC))
-        error_um = unseen.displacement_um - law.error_um("DX", np.zeros(len(degC)))
+        values = Law.of_model(rest).at(inputs_of(unseen, rest.layout), degC)
+        error_um = unseen.displacement_um - values.error_um("DX", 0.0)
         rms_um = float(np.sqrt(np.mean(error_um**2)))
         accuracy = fallback.accuracy["DX"]
         kept.append(rms_um / accuracy.without_rms_um)
         assert rms_um < 0.25 * accuracy.nothing_rms_um
         # the band is that of the full model, widened by what the loss costs
-        assert np.mean(np.abs(error_um) <= law.half_width_um("DX")) > 0.88
+        assert np.mean(np.abs(error_um) <= values.half_width_um("DX", 0.0)) > 0.88
     # what was promised held out is what 20 new campaigns show, on average over the sensors
     assert np.mean(kept) == pytest.approx(1.0, abs=0.25)
     # a sensor that the others can replace costs nothing, but not every one can be that
     ratios = [f.accuracy["DX"].without_rms_um / f.accuracy["DX"].full_rms_um for f in axis.fallbacks]
     assert max(ratios) > 1.2
-    assert without_sensor(axis, "theta_99") is None
+    # two lost at once: no fallback is ready, and there is no law on key temperatures to go on with
+    both = degraded(with_law(axis), SENSORS[:2])
+    assert (both.model.prediction, both.replaced) == ({}, {"DX": None})
+    assert degraded(with_law(axis), {"theta_99"}).model.prediction == {"": axis}
+
+
+def with_law(axis: AxisLaw) -> ModelDocument:
+    """A model that predicts by this law alone."""
+    training = Training(campaigns=(), mode="", instrument="", datum="campaign")
+    return ModelDocument(
+        version="0", created="", machine="", axes=(), sign="stated", method="", control={}, prediction={"": axis},
+        training=training,
+    )  # fmt: skip
 
 
 def drift_folder(recording: Recording) -> MachineFolder:
@@ -215,7 +231,7 @@ def drift_folder(recording: Recording) -> MachineFolder:
     return MachineFolder(machine, tuple(made))
 
 
-def with_history_fallbacks(folder: MachineFolder) -> HistoryAxis:
+def with_history_fallbacks(folder: MachineFolder) -> AxisLaw:
     separations, names = separate_folder(folder), [campaign.name for campaign in folder.campaigns]
     (states,) = axis_states(folder, separations, names)
     return with_fallbacks(folder, separations, names, states, calibrated_history(states))
@@ -233,7 +249,7 @@ def test_a_sensor_is_lost_in_the_middle_of_a_shift() -> None:
         predicted.append(model.predict(inputs_of(shift, layout)))
     full, fallback = predicted
     lost = 48
-    carried = switch(shift.t_s[lost], (full[lost],), (fallback[lost],))
+    carried = carry_over(shift.t_s[lost], (full[lost],), (fallback[lost],))
     output = np.concatenate([full[:lost], [fallback[k] + carried.at(shift.t_s[k])[0] for k in range(lost, 96)]])
     # the step into the fallback is no larger than the steps that either model makes on its own
     own = max(np.abs(np.diff(full)).max(), np.abs(np.diff(fallback)).max())

@@ -18,7 +18,7 @@ from small_models import component, document, term
 
 from thetacomp.errors import ModelFileError
 from thetacomp.fitting.linear import ThermalRegression
-from thetacomp.model.document import load_model
+from thetacomp.model.load import load_model
 
 
 def _data(seed: int = 0, n: int = 30, p: int = 3, m: int = 2) -> tuple[np.ndarray, np.ndarray]:
@@ -96,9 +96,9 @@ def test_a_model_saved_again_by_windows_notepad_is_read_and_nonsense_is_not(tmp_
     path.write_text(small.to_json(), encoding="utf-8-sig")
     assert load_model(path) == small
     raw = json.loads(small.to_json())
-    raw["components"]["DX"]["dof"] = -3
+    raw["control"][""]["components"]["DX"]["dof"] = -3
     path.write_text(json.dumps(raw), encoding="utf-8")
-    with pytest.raises(ModelFileError, match=r"components\.DX\.dof"):
+    with pytest.raises(ModelFileError, match=r"control\.\.components\.DX\.dof"):
         load_model(path)
 
 

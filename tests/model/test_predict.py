@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-from small_models import component, document, nothing_predicts, term
+from small_models import Part, component, document, nothing_predicts, term
 from typer.testing import CliRunner
 
 from thetacomp.arrays import Floats
@@ -33,8 +33,11 @@ def rows(*wanted: tuple[float, str, float]) -> Rows:
     return Rows(np.array(t_s, float), tuple(axis), np.array(position_mm, float))
 
 
-def model() -> ModelDocument:
-    """X sees `a`, Y sees `b`, the drift `DZ` sees both. References: a = 20, b = 18."""
+def model(leave_out: tuple[str, ...] = (), **other: Part) -> ModelDocument:
+    """X sees `a`, Y sees `b`, the drift `DZ` sees both. References: a = 20, b = 18.
+
+    Without the components `leave_out`; `other` components stand in their place.
+    """
     a, b = {"a": 20.0}, {"b": 18.0}
     parts = {
         "EXX": component("EXX", term(5.0, 10.0, sd=2.0), term(1.0, 4.0, sd=1.0), a, p=(500.0, 0.0, 2000.0), dof=6),
@@ -42,6 +45,7 @@ def model() -> ModelDocument:
         "EXY": component("EXY", term(2.0, 3.0), term(-1.0, 2.0), b, p=(0.0, 0.0, 3000.0), dof=6),
         "DZ": component("DZ", term(1.0, 2.0, -4.0), None, {**a, **b}, dof=6),
     }
+    parts = {name: one for name, one in (parts | other).items() if name not in leave_out}
     return document({"X": "+X", "Y": "+Y"}, parts, {"a": (0.0, 10.0), "b": (0.0, 8.0)})
 
 
@@ -106,11 +110,10 @@ def test_missing_temperature_empties_the_row_and_only_this_axis() -> None:
 
 
 def test_row_is_empty_where_only_one_of_its_errors_lacks_a_temperature() -> None:
-    parts = dict(model().components)
-    parts["EYX"] = component("EYX", term(0.5, -1.0), term(0.0, 0.25), {"b": 18.0}, p=(500.0, 0.0, 2000.0))
+    eyx = component("EYX", term(0.5, -1.0), term(0.0, 0.25), {"b": 18.0}, p=(500.0, 0.0, 2000.0))
     table = temperatures()
     table.value_degC[1, 0] = np.nan
-    out = predict(model().model_copy(update={"components": parts}), table, rows((200, "X", 500)))
+    out = predict(model(EYX=eyx), table, rows((200, "X", 500)))
     assert np.isnan(out.error_um).all()
     assert not out.in_domain[0]
 
@@ -156,14 +159,19 @@ def test_reference_without_a_temperature_is_told() -> None:
 
 
 def test_no_drift_in_the_model_is_told() -> None:
-    full = model()
-    parts = {name: one for name, one in full.components.items() if one.axis}
     with pytest.raises(AnalysisError, match=r"drift at a fixed position \(axis empty\).* and no drift"):
-        predict(full.model_copy(update={"components": parts}), temperatures(), rows((200, "", 0.0)))
+        predict(model(("DZ",)), temperatures(), rows((200, "", 0.0)))
 
 
-def call(tmp_path: Path, positions: str, *more: str, temperature: str = "", **changes: object) -> tuple[int, str]:
-    model().model_copy(update=changes).save(tmp_path / "model.json")
+def call(
+    tmp_path: Path,
+    positions: str,
+    *more: str,
+    temperature: str = "",
+    stored: ModelDocument | None = None,
+    **changes: object,
+) -> tuple[int, str]:
+    (stored or model()).model_copy(update=changes).save(tmp_path / "model.json")
     text = temperature or "t_s,a,b\n100,21,18\n200,23,19\n300,27,22\n"
     (tmp_path / "T.csv").write_text(text, encoding="utf-8")
     (tmp_path / "P.csv").write_text(positions, encoding="utf-8")
@@ -308,13 +316,13 @@ def test_failed_acceptance_checks_are_one_line_and_the_end_stays_good(tmp_path: 
 
 @pytest.mark.parametrize(("reference", "wanted"), [("first_row", 0.0), ("model", 7.0)])
 def test_error_that_no_sensor_predicts_stays_at_its_constant(tmp_path: Path, reference: str, wanted: float) -> None:
-    parts = {**model().components, "EXX": nothing_predicts("EXX", 7.0)}
-    code, output = call(tmp_path, ONE_ROW, "--reference", reference, components=parts)
+    exx = nothing_predicts("EXX", 7.0, p=(500.0, 0.0, 2000.0))
+    code, output = call(tmp_path, ONE_ROW, "--reference", reference, stored=model(EXX=exx))
     assert code == 0, output
     assert "No sensor predicts EXX" in output
     (line,) = written(tmp_path)
     assert float(line["dX_um"]) == wanted
     assert float(line["dX_hi_um"]) > wanted
     assert float(line["dY_um"]) != 0.0  # a has risen by 6 K
-    alone = {"EXX": parts["EXX"]}
-    assert call(tmp_path, ONE_ROW, "--reference", reference, components=alone)[0] == 0
+    alone = model(("EYX", "EXY", "DZ"), EXX=exx)
+    assert call(tmp_path, ONE_ROW, "--reference", reference, stored=alone)[0] == 0

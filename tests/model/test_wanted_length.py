@@ -14,7 +14,8 @@ from thetacomp.arrays import Floats
 from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.errors import AnalysisError, InputError
 from thetacomp.machine import WantedLength
-from thetacomp.model.document import ModelDocument, load_model
+from thetacomp.model.document import ModelDocument
+from thetacomp.model.load import load_model
 from thetacomp.model.prediction import predict
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.model.wanted_length import length_error_um

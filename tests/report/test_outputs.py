@@ -151,7 +151,7 @@ def test_a_second_run_into_one_folder_is_told_so_and_the_first_goes_on(tmp_path:
     def slow() -> None:
         with output_folder(out, (), OWN) as fresh:
             inside.set()
-            done.wait(10)
+            done.wait(60)
             files.write_files(fresh, FIRST)
 
     run = threading.Thread(target=slow)
@@ -159,6 +159,10 @@ def test_a_second_run_into_one_folder_is_told_so_and_the_first_goes_on(tmp_path:
     inside.wait(10)
     with pytest.raises(OutputError, match=r"results: another run of thetacomp is writing here\. Fix: wait"):
         fill(out, SECOND)
+    other = "import sys, pathlib; from thetacomp.outputs import output_folder\n"
+    other += "with output_folder(pathlib.Path(sys.argv[1])): pass"
+    told = subprocess.run([sys.executable, "-c", other, str(out)], capture_output=True, text=True, check=False)
+    assert "another run of thetacomp is writing here" in told.stderr
     done.set()
     run.join()
     assert contents(out) == FIRST

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.text import Text
+from small_models import component, document, term
 from synthetic_analysis import (
     KINDS,
     drift_analysis,
@@ -21,6 +22,7 @@ from synthetic_analysis import (
 )
 
 from thetacomp.machine import Axis, Sensor
+from thetacomp.model.law import component_laws
 from thetacomp.report import prediction, style
 from thetacomp.report.figures import all_figures
 from thetacomp.report.figures_error import error_over_position
@@ -231,17 +233,21 @@ def test_two_inputs_are_drawn_as_measured_against_predicted() -> None:
 
 def test_a_term_that_chance_explains_is_named_so() -> None:
     """y = x + noise of 30 sd: the t value is far below 2, so R² in-sample says nothing."""
-    from thetacomp.model.document import LinearTerm
-
-    weak = LinearTerm(
-        constant=0, coefficients_per_K=(1.0,), covariance=((1, 0), (0, 4.0)), residual_sd=30, r_squared=0.1
-    )
-    strong = weak.model_copy(update={"covariance": ((1, 0), (0, 0.01))})
-    worse_than_mean = strong.model_copy(update={"r_squared": -0.2})
-    assert [prediction.explains(t, 8) for t in (weak, strong, worse_than_mean)] == [False, True, False]
+    weak = term(0.0, 1.0, sd=30.0) | {"covariance": [[1, 0], [0, 4.0]], "r_squared": 0.1}
+    strong = weak | {"covariance": [[1, 0], [0, 0.01]]}
+    worse_than_mean = strong | {"r_squared": -0.2}
+    alone = [
+        document({}, {"DX": component("DX", t, None, {"a": 20.0})}, {"a": (0.0, 9.0)})
+        for t in (weak, strong, worse_than_mean)
+    ]
+    laws = [component_laws(one.control)["DX"] for one in alone]
+    assert [prediction.explains(law, 0) for law in laws] == [False, True, False]
     analysis = parameters_analysis()
-    exx = analysis.model.components["EXX"].model_copy(update={"intercept": weak})
-    model = analysis.model.model_copy(update={"components": {**analysis.model.components, "EXX": exx}})
+    law = analysis.model.control["X"]
+    exx = law.components["EXX"]
+    noise = replace(exx.band, sd=(100.0 * exx.band.sd[0] * abs(exx.terms[0].coefficients[0]), exx.band.sd[1]))
+    weaker = law.model_copy(update={"components": law.components | {"EXX": exx.model_copy(update={"band": noise})}})
+    model = analysis.model.model_copy(update={"control": {**analysis.model.control, "X": weaker}})
     titles = [a.get_title(loc="left") for a in fit_over_temperature(replace(analysis, model=model))[0].figure.axes[:2]]
     assert titles[0] == "EXX intercept · not explained"
     assert titles[1].startswith("EXX slope · R² in-sample ")
@@ -303,22 +309,19 @@ def test_spread_keeps_distance_and_order() -> None:
 def test_prediction_is_the_stored_equation() -> None:
     analysis = parameters_analysis()
     part = analysis.separations[0]
-    component = analysis.model.components[part.component]
+    law = component_laws(analysis.model.control)[part.component]
+    slope = law.component.terms[1]
     predicted = prediction.predict_states(analysis, part)
     assert predicted is not None
-    assert component.slope is not None
     theta = analysis.folder.campaign(part.campaign).temperatures.at(part.t_s)[:, 0]
-    rise = theta - component.reference.temperature_degC["theta_15"]
-    expected = component.slope.constant + component.slope.coefficients_per_K[0] * rise
+    rise = theta - law.law.zero[law.inputs.index("theta_15")]
+    expected = slope.constant + slope.coefficients[0] * rise
     np.testing.assert_allclose(predicted.slope_um_per_m, expected)
 
 
 def test_prediction_moves_with_p0_but_the_line_does_not() -> None:
     analysis = parameters_analysis()
     part = analysis.separations[0]
-    component = analysis.model.components[part.component]
-    assert component.slope is not None
-    assert component.p0_mm is not None
     moved = replace(
         part,
         p0_mm=part.p0_mm + 500.0,
@@ -337,15 +340,13 @@ def test_band_is_the_textbook_prediction_interval() -> None:
     # Straight line through n points: t * s * sqrt(1 + 1/n + (x - mean)^2 / Sxx), Student's t with n - 2 degrees.
     from scipy.stats import t as student_t
 
-    from thetacomp.model.document import LinearTerm
-
     x, s, n = np.arange(6.0), 2.0, 6
     sxx = float(((x - x.mean()) ** 2).sum())
     inverse = np.linalg.inv(np.array([[n, x.sum()], [x.sum(), (x**2).sum()]]))
-    covariance = tuple(tuple(row) for row in (s**2 * inverse).tolist())
-    term = LinearTerm(constant=0.0, coefficients_per_K=(1.0,), covariance=covariance, residual_sd=s, r_squared=1.0)
+    fit = term(0.0, 1.0, sd=s) | {"covariance": (s**2 * inverse).tolist()}
+    model = document({}, {"DX": component("DX", fit, None, {"a": 0.0}, dof=n - 2)}, {"a": (0.0, 9.0)})
     expected = student_t.ppf(0.975, n - 2) * s * np.sqrt(1.0 + 1.0 / n + (4.0 - x.mean()) ** 2 / sxx)
-    assert prediction.half_band(term, n - 2, np.array([[4.0]]))[0] == pytest.approx(expected)
+    assert prediction.half_band(component_laws(model.control)["DX"], 0, np.array([[4.0]]))[0] == pytest.approx(expected)
 
 
 def test_file_labels_are_plain() -> None:

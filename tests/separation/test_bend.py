@@ -19,16 +19,16 @@ from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, MachineFolder
-from thetacomp.errors import ModelFileError
 from thetacomp.files import write_files
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.fitting.key_point_law import fit_axis
 from thetacomp.fitting.rotations import with_form
 from thetacomp.model.axis_chain import chain_of
-from thetacomp.model.document import ModelDocument, load_model
+from thetacomp.model.check import problems
+from thetacomp.model.document import ModelDocument
 from thetacomp.model.filters import run_filters
-from thetacomp.model.history_law import check_history
+from thetacomp.model.load import load_model
 from thetacomp.model.prediction import predict
 from thetacomp.model.volume import Part, ThermalParts, volume_error
 from thetacomp.model.volumetric import predict_volume
@@ -300,8 +300,8 @@ def test_heat_history_follows_the_bend_and_the_law_on_key_points_leaves_it(analy
     rows = {r.model: r for r in analysis.validation if (r.campaign, r.split, r.component) == ("all", "campaign", "EYY")}
     assert NOISE_UM <= rows["default"].rms_after_um < 1.7 * NOISE_UM
     assert rows["key_points"].rms_after_um > 2.0 * rows["default"].rms_after_um
-    component = analysis.model.history["Y"].components["EYY"]
-    assert component.bend_um_per_m2 is not None
+    component = analysis.model.prediction["Y"].components["EYY"]
+    assert len(component.terms) == 3
     assert any("parabolas" in note for note in analysis.model.notes)
 
 
@@ -329,14 +329,16 @@ def test_the_separated_bend_is_written_beside_the_line(analysis: Analysis, tmp_p
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"bend_um_per_m2": (1.0,)}, "bend has 1 coefficients"),
-        ({"bend_um_per_m2": None}, "the bend and its prior do not come together"),
+        ({"coefficients": (1.0,)}, "bend has 1 coefficients"),
+        ({"beyond": None}, "the bend and its prior do not come together"),
     ],
 )
 def test_a_bend_that_contradicts_the_layout_is_refused(
     analysis: Analysis, change: dict[str, object], message: str
 ) -> None:
-    axis = analysis.model.history["Y"]
-    wrong = axis.components["EYY"].model_copy(update=change)
-    with pytest.raises(ModelFileError, match=message):
-        check_history("Y", axis.model_copy(update={"components": {"EYY": wrong}}))
+    axis = analysis.model.prediction["Y"]
+    *line, bend = axis.components["EYY"].terms
+    wrong = axis.components["EYY"].model_copy(update={"terms": (*line, bend.model_copy(update=change))})
+    broken = {"Y": axis.model_copy(update={"components": {"EYY": wrong}, "fallbacks": ()})}
+    (told,) = problems(analysis.model.model_copy(update={"prediction": broken}))
+    assert message in told

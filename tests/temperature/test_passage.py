@@ -12,7 +12,7 @@ from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, SweepP
 from thetacomp.fitting.border import calibrate_validity
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.machine import Axis, Machine, Sensor
-from thetacomp.model.document import HistoryAxis
+from thetacomp.model.document import AxisLaw
 from thetacomp.model.filters import run_filters
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.separation import separate_all
@@ -72,11 +72,11 @@ def states() -> AxisStates:
 
 
 @pytest.fixture(scope="module")
-def document(states: AxisStates) -> HistoryAxis:
+def document(states: AxisStates) -> AxisLaw:
     return calibrated_history(states).document
 
 
-def every_minute(document: HistoryAxis, one: Campaign) -> tuple[Floats, Floats]:
+def every_minute(document: AxisLaw, one: Campaign) -> tuple[Floats, Floats]:
     """Inputs of the border at every minute from the first to the last sweep, and the speed of the spindle."""
     track = history_track(one, document.layout, np.array([3360.0, 6960.0]) + 60.0)
     own = (track.t_s >= 3420.0) & (track.t_s <= 60.0 * (MINUTES - 4))
@@ -86,7 +86,7 @@ def every_minute(document: HistoryAxis, one: Campaign) -> tuple[Floats, Floats]:
     return inputs, one.duty.columns["spindle_rpm"][own]
 
 
-def test_the_flag_is_quiet_while_cutting_though_no_sweep_showed_it(states: AxisStates, document: HistoryAxis) -> None:
+def test_the_flag_is_quiet_while_cutting_though_no_sweep_showed_it(states: AxisStates, document: AxisLaw) -> None:
     at_sweeps_alone = calibrate_validity(
         np.hstack([states.history, states.rise_K + states.reference_degC]), states.campaign
     )
@@ -95,7 +95,7 @@ def test_the_flag_is_quiet_while_cutting_though_no_sweep_showed_it(states: AxisS
         inputs, speed_rpm = every_minute(document, campaign(seed))
         cutting = speed_rpm > 0
         assert cutting.sum() > 300
-        on.append((~document.validity.inside(inputs))[cutting].mean())
+        on.append((~document.border.distance.inside(inputs))[cutting].mean())
         on_before.append((~at_sweeps_alone.inside(inputs))[cutting].mean())
     # eight campaigns: 8/9 of their like never raise it (m / (m + 1)), the others for a small part of their minutes
     assert np.mean(on) < 0.05
@@ -103,23 +103,23 @@ def test_the_flag_is_quiet_while_cutting_though_no_sweep_showed_it(states: AxisS
     assert np.mean(on_before) > 0.9
 
 
-def test_work_of_twice_the_speed_is_still_flagged(document: HistoryAxis) -> None:
+def test_work_of_twice_the_speed_is_still_flagged(document: AxisLaw) -> None:
     flagged = []
     for seed in range(20, 40):
         inputs, speed_rpm = every_minute(document, campaign(seed))
         p = len(document.layout.sensors)
         twice = np.hstack([2.0 * inputs[:, :-p], inputs[:, -p:] + inputs[:, :p]])
-        flagged.append((~document.validity.inside(twice))[speed_rpm > 0].any())
+        flagged.append((~document.border.distance.inside(twice))[speed_rpm > 0].any())
     assert np.mean(flagged) >= 0.9
 
 
 def test_the_leverage_counts_from_the_fitted_moments_and_the_range_from_all(
-    states: AxisStates, document: HistoryAxis
+    states: AxisStates, document: AxisLaw
 ) -> None:
     sweeps = np.hstack([states.history, states.rise_K + states.reference_degC])
-    np.testing.assert_allclose(document.validity.reach.centre, sweeps.mean(axis=0), atol=1e-9)
+    np.testing.assert_allclose(document.border.distance.leverage.centre, sweeps.mean(axis=0), atol=1e-9)
     low, high = states.passage.inputs.min(axis=0), states.passage.inputs.max(axis=0)
-    np.testing.assert_allclose(document.validity.middle, (low + high) / 2)
+    np.testing.assert_allclose(document.border.distance.middle, (low + high) / 2)
     # the lag of 480 s of the speed has decayed by the time of the sweeps, 16 minutes after the stop
     fast = [name for block in document.layout.blocks.values() for name in block].index("speed^1 lag 480 s")
     assert high[fast] > 4.0 * sweeps[:, fast].max()

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from rigid_machine import MACHINE, P0_MM, REFERENCE_S, Rigid, draw_rigid, measure
-from small_models import component, document, term
+from small_models import Part, component, document, term
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.campaign import Campaign, CampaignSettings, LeadIn, MachineFolder
 from thetacomp.fitting.training import train
-from thetacomp.model.document import Accuracy, Fallback, ModelDocument
+from thetacomp.model.document import ModelDocument
 from thetacomp.model.fallback import DECAY_S
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.preparation import Prepared, prepare
@@ -93,22 +93,17 @@ def with_fallback() -> ModelDocument:
     """Drift in X 10 µm/K on a, 4 µm/K on b where a is lost; along Y 5 and 2 µm/m and K. Joint form."""
     zero = {"a": 20.0, "b": 20.0}
 
-    def law(name: str, sensor: str, per_K: float) -> tuple[str, object]:
+    def law(name: str, sensor: str, per_K: float) -> tuple[str, Part]:
         slope = None if name == "DX" else term(0.0, per_K)
         constant = term(0.0, per_K if name == "DX" else 0.0)
         return name, component(name, constant, slope, {sensor: zero[sensor]}, p=(0.0, -3000.0, 3000.0))
 
+    zero_to_twenty = {"a": (0.0, 20.0), "b": (0.0, 20.0)}
     first = dict([law("DX", "a", 10.0), law("EXY", "a", 5.0)])
     ready = dict([law("DX", "b", 4.0), law("EXY", "b", 2.0)])
-    model = document({"Y": "+Y"}, first, {"a": (0.0, 20.0)})  # type: ignore[arg-type]
-    accuracy = Accuracy(full_rms_um=1.0, without_rms_um=2.0, nothing_rms_um=9.0)
-    fallback = Fallback(lost="a", components=ready, accuracy=dict.fromkeys(ready, accuracy))  # type: ignore[arg-type]
-    ranges = {
-        "range_degC": {"a": (20.0, 40.0), "b": (20.0, 40.0)},
-        "range_rise_K": {"a": (0.0, 20.0), "b": (0.0, 20.0)},
-    }
-    training = model.training.model_copy(update=ranges)
-    return model.model_copy(update={"form": "joint", "fallbacks": (fallback,), "training": training})
+    accuracy = {"full_rms_um": 1.0, "without_rms_um": 2.0, "nothing_rms_um": 9.0}
+    fallback = {"lost": "a", "components": ready, "accuracy": dict.fromkeys(ready, accuracy)}
+    return document({"Y": "+Y"}, first, zero_to_twenty, fallbacks=[fallback], form="joint")
 
 
 def ten_degrees(lost: tuple[tuple[float, frozenset[str]], ...]) -> LiveReadings:
@@ -247,15 +242,16 @@ def test_the_models_are_those_that_analyze_stores(monkeypatch: pytest.MonkeyPatc
         assert made.rotations == stored.rotations
         for name, component_ in stored.components.items():
             assert made.components[name] == component_.model_copy(update=told)
-    assert set(model.history) == {"Y", ""}
-    for axis, one in model.history.items():
-        stored_axis = analysis.model.history[axis]
+    assert set(model.prediction) == {"Y", ""}
+    for axis, one in model.prediction.items():
+        stored_axis = analysis.model.prediction[axis]
         assert one.layout == stored_axis.layout
         for name, stored_component in stored_axis.components.items():
             assert one.components[name] == stored_component.model_copy(update=told)
         assert one.fallbacks == tuple(f for f in stored_axis.fallbacks if f.lost == lost)
         assert len(one.fallbacks) == 1
-    assert [f.lost for f in model.fallbacks] == [f.lost for f in analysis.model.fallbacks]
+    for axis, law in model.control.items():
+        assert [f.lost for f in law.fallbacks] == [f.lost for f in analysis.model.control[axis].fallbacks]
 
 
 @pytest.mark.slow

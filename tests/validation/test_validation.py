@@ -107,8 +107,9 @@ def test_the_model_recovers_the_truth_and_beats_the_clock_on_unseen_campaigns() 
     analysis = analyze_folder(_folder(4))
     assert fit_for_use(analysis.acceptance)
     component = analysis.model.components["EXY"]
-    assert component.slope is not None
-    by_name = dict(zip(component.inputs, component.intercept.coefficients_per_K, strict=True))
+    assert len(component.terms) == 2
+    inputs = analysis.model.control["Y"].layout.sensors
+    by_name = dict(zip(inputs, component.terms[0].coefficients, strict=True))
     assert by_name["a"] == pytest.approx(12.0, abs=0.5)
     for name in ("EXY", "column_X", "column_Z"):
         default = _row(analysis.validation, name, "default", "campaign", "all")
@@ -185,7 +186,7 @@ def test_the_model_document_carries_its_verdict() -> None:
     good = analyze_folder(_folder(4)).model
     assert good.failed_checks == ()
     rows = analyze_folder(_folder(4)).validation
-    for found, model in ((good.history["Y"].components, "default"), (good.components, "key_points")):
+    for found, model in ((good.prediction["Y"].components, "default"), (good.components, "key_points")):
         row = _row(rows, "EXY", model, "campaign", "all")
         assert found["EXY"].held_out_um == (row.rms_after_um, row.p95_after_um, row.max_after_um)
     single = analyze_folder(_folder(1)).model

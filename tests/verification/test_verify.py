@@ -106,17 +106,13 @@ def test_the_model_that_was_compensated_with_tells_the_same(folder: Path) -> Non
         result = verify_folder(read, ["off"], [name], model)
         assert [cause.kind for cause in result.causes] == kinds
     # A component that the model does not predict is no fault of the control.
-    parts = {name: part for name, part in model.components.items() if name != "EYX"}
-    less = model.model_copy(update={"components": parts})
-    result = verify_folder(read, ["off"], ["good"], less)
+    result = verify_folder(read, ["off"], ["good"], true_model(("EYX",)))
     assert "EYX" not in {share.component for share in result.shares}
     assert any("EYX: the model does not predict it" in note for note in result.notes)
 
 
 def test_a_model_trained_in_another_mode_is_named(folder: Path) -> None:
-    model = true_model()
-    other = model.model_copy(update={"training": model.training.model_copy(update={"mode": "oil cooling"})})
-    result = verify_folder(read_folder(folder), ["off"], ["good"], other)
+    result = verify_folder(read_folder(folder), ["off"], ["good"], true_model(mode="oil cooling"))
     assert [cause.kind for cause in result.causes] == ["mode"]
     assert "'oil cooling' in the training of the model" in result.causes[0].text
 
@@ -295,7 +291,7 @@ def test_several_campaigns_of_one_run_are_taken_together(tmp_path: Path) -> None
 
 def test_without_a_law_only_like_heat_is_compared(folder: Path, verified: dict[str, Verification]) -> None:
     model = true_model()
-    nothing = model.model_copy(update={"components": {}})
+    nothing = model.model_copy(update={"control": {}})
     like = verify_folder(read_folder(folder), ["off"], ["good"], nothing)
     assert like.go
     assert np.isnan(like.heat_ratio)

@@ -9,7 +9,7 @@ import pytest
 import rigid_machine
 from rigid_machine import P0_MM
 from small_models import component, document, nothing_predicts, term
-from verification_runs import LAW, Run, rises_K, true_model, write_folder
+from verification_runs import AXES, LAW, Run, rises_K, true_model, write_folder
 
 from thetacomp.campaign import Campaign, MachineFolder, SweepPoints
 from thetacomp.errors import AnalysisError
@@ -152,8 +152,8 @@ def test_an_empty_campaign_and_one_without_heat_are_refused(folder: MachineFolde
 def test_a_component_of_one_run_that_nothing_explains_is_compared_as_measured(folder: MachineFolder) -> None:
     """The model knows no X: no expected error there, so the size of harm in X comes from what was measured."""
     model = true_model()
-    parts = {name: part for name, part in model.components.items() if name[2] == "Y"}
-    result = verify_folder(folder, ["off"], ["on"], model.model_copy(update={"components": parts}))
+    only_y = model.model_copy(update={"control": {"Y": model.control["Y"]}})
+    result = verify_folder(folder, ["off"], ["on"], only_y)
     rows = {row.component: row.of("max") for row in result.rows}
     assert np.isnan(rows["EXX"].like_before_um)
     assert np.isfinite(rows["EXY"].like_before_um)
@@ -208,7 +208,7 @@ def test_the_pattern_of_a_model_is_its_law_less_its_value_over_the_cold_block(
 def joint(**changes: float) -> ModelDocument:
     """A joint model of the rigid machine: 5 µm/K of drift in Z; Z leans with X, Y, W by 8, 3 and -6 µm/m a kelvin."""
     t1 = {"t1": 20.0}
-    parts = {"DZ": component("DZ", term(0.0, 5.0), None, t1).model_copy(update={"through_zero": True})}
+    parts = {"DZ": component("DZ", term(0.0, 5.0), None, t1, through_zero=True)}
     for axis, slope in {"X": 8.0, "Y": 3.0, "W": -6.0, **changes}.items():
         low, high = rigid_machine.AXES[rigid_machine.NAMES.index(axis)].travel_mm
         for direction in "XYZ":
@@ -253,12 +253,11 @@ def test_a_joint_model_expects_the_drift_and_the_tilt_of_the_other_axes_where_th
 
 def test_what_a_model_does_not_predict_has_no_pattern_and_is_named(folder: MachineFolder) -> None:
     """EYX has no inputs, EZX is unknown: both are NaN at every sample."""
-    model = true_model()
-    parts = {name: part for name, part in model.components.items() if name != "EZX"}
-    parts["EYX"] = nothing_predicts("EYX")
+    travel_mm = AXES["X"][1]
+    blind = nothing_predicts("EYX", p=(travel_mm / 2, 0.0, travel_mm))
     separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
     states = axis_states(folder, separations, ["off", "on"])[0]
-    expected, notes = model_pattern(model.model_copy(update={"components": parts}), folder, states, separations)
+    expected, notes = model_pattern(true_model(("EZX",), EYX=blind), folder, states, separations)
     assert [bool(np.isfinite(e[0]).all()) for e in expected] == [True, False, False]
     assert [note.split(":")[0] for note in notes] == ["EYX", "EZX"]
     assert np.isnan([*expected[1][0], *expected[1][1]]).all()

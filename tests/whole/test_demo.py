@@ -13,7 +13,7 @@ from browser import open_in_browser
 from typer.testing import CliRunner, Result
 
 from thetacomp.cli.main import app
-from thetacomp.model.document import load_model
+from thetacomp.model.load import load_model
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,8 @@ from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.fitting.procedures import key_point_procedure
 from thetacomp.fitting.rotations import with_form
-from thetacomp.model.document import ModelDocument, load_model
+from thetacomp.model.document import ModelDocument
+from thetacomp.model.load import load_model
 from thetacomp.reading import check_folder, read_folder
 from thetacomp.separation import Separated, separate_all
 from thetacomp.states import axis_states
@@ -264,7 +265,7 @@ def test_the_chain_of_commands_ends_in_a_go(plan: Path, tmp_path: Path) -> None:
 
     model = load_model(tmp_path / "results" / "model.json")
     assert model.form == "joint"
-    assert set(model.history) == {"", "X", "Y", "W"}
+    assert set(model.prediction) == {"", "X", "Y", "W"}
     compensated(made, plan, model, 1, low=0.75)
     done = command(
         "verify", made.path, "--off", OFF, "--on", ON, "--model", tmp_path / "results" / "model.json",

@@ -38,15 +38,15 @@ def joint() -> Analysis:
 
 def test_the_model_is_joint_and_its_notes_say_what_was_assumed(joint: Analysis, tmp_path: Path) -> None:
     assert joint.model.form == "joint"
-    assert {name for name, c in joint.model.components.items() if c.axis is None} == {"DX", "DY", "DZ"}
-    for part in joint.model.components.values():
-        if part.axis is not None:
-            assert not any(part.intercept.coefficients_per_K)
-            assert part.intercept.residual_sd == 0.0
-            assert part.equation.endswith(f"/1000   [µm; {part.axis} in mm, temperatures in °C]")
+    assert set(joint.model.control[""].components) == {"DX", "DY", "DZ"}
+    for axis in "XYW":
+        for part in joint.model.control[axis].components.values():
+            assert not any(part.terms[0].coefficients)
+            assert part.band.sd[0] == 0.0
+            assert part.equation.endswith(f"/1000   [µm; {axis} in mm, temperatures in °C]")
     assert any("X, Y, W, as the order from the workpiece to the tool" in note for note in joint.notes)
     assert any("naive sum" in note for note in joint.notes)
-    assert "[µrad; X in mm" in joint.model.rotations["EAX"].equation
+    assert "[µrad; X in mm" in joint.model.rotations["X"].components["EAX"].equation
     write_files(tmp_path, table_files(joint))
     rows = list(csv.DictReader((tmp_path / "angles.csv").read_text(encoding="utf-8").splitlines()))
     assert {row["component"] for row in rows} >= {"EAX", "ECW", "DA"}

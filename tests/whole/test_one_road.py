@@ -83,11 +83,11 @@ def test_all_roads_lead_to_the_same_coefficients(roads: tuple[MachineFolder, Pre
         assert set(made.components) == set(stored.components)
         for name, component in stored.components.items():
             assert made.components[name] == component.model_copy(update=told)
-        assert set(made.history) == set(stored.history)
-        for axis, history in stored.history.items():
+        assert set(made.prediction) == set(stored.prediction)
+        for axis, history in stored.prediction.items():
             for name, part in history.components.items():
-                assert made.history[axis].components[name] == part.model_copy(update=told)
-    assert trained.model.history
+                assert made.prediction[axis].components[name] == part.model_copy(update=told)
+    assert trained.model.prediction
 
 
 def test_without_the_one_road_they_would_differ() -> None:

@@ -77,7 +77,8 @@ import importlib, pkgutil, sys
 
 ALLOWED = {"numpy", "pydantic", "structlog"}
 ALLOWED |= {"pydantic_core", "annotated_types", "typing_extensions", "typing_inspection"}  # what pydantic brings
-ROOMS = {"thetacomp." + name for name in ("model", "controllers", "machine", "errors", "arrays", "files", "names")}
+BELOW = ("machine", "errors", "arrays", "files", "table_file", "names")
+ROOMS = {"thetacomp." + name for name in ("model", "controllers", *BELOW)}
 
 class Blocked:
     def find_spec(self, name, path=None, target=None):

@@ -71,12 +71,13 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
             f"key points of {where}: {', '.join(chosen.key_points) or 'none, no sensor predicts held-out data'}"
         )
     lines += _screening_lines(analysis)
-    for axis in analysis.model.history.values():
-        where = f"axis {axis.axis}" if axis.axis else "drift"
-        speed = " and spindle speed" if axis.layout.speed_powers else ""
+    for axis, law in analysis.model.prediction.items():
+        where = f"axis {axis}" if axis else "drift"
+        campaigns = law.border.distance.campaigns if law.border.distance else 0
+        speed = " and spindle speed" if law.layout.speed_powers else ""
         lines.append(
-            f"in use for {where}: heat history of {len(axis.layout.sensors)} sensors{speed}"
-            f" ({axis.candidates} block models weighed over {axis.campaigns} campaigns)"
+            f"in use for {where}: heat history of {len(law.layout.sensors)} sensors{speed}"
+            f" ({law.candidates} block models weighed over {campaigns} campaigns)"
         )
     lines += ["", *_before_and_after(analysis), ""]
     if failed:
@@ -96,7 +97,7 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
         "key_points": {chosen.axis or "drift": list(chosen.key_points) for chosen in analysis.key_points},
         "equations": {name: c.equation for name, c in analysis.model.components.items()},
         "validation": [asdict(row) for row in analysis.validation],
-        "heat_history": sorted(key or "drift" for key in analysis.model.history),
+        "heat_history": sorted(key or "drift" for key in analysis.model.prediction),
         "failed_static_checks": list(analysis.model.failed_static_checks),
         "acceptance": [asdict(check) for check in analysis.acceptance],
         "permutations": [asdict(test) for test in analysis.permutations],

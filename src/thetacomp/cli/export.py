@@ -30,7 +30,7 @@ def export(
 def _export(model_path: Path, target: str, out: Path, settings: Path | None, replay: Path | None) -> Outcome:
     from thetacomp.controllers.targets import TARGETS
     from thetacomp.files import write_files
-    from thetacomp.model.document import load_model
+    from thetacomp.model.load import load_model
     from thetacomp.outputs import output_folder
     from thetacomp.report.export import OWN, export_files
 

@@ -53,7 +53,7 @@ def _predict(
 def _predicted(
     model_path: Path, temperatures_path: Path, positions_path: Path, duty_path: Path | None, out: Path, reference: str
 ) -> Outcome:
-    from thetacomp.model.document import load_model
+    from thetacomp.model.load import load_model
     from thetacomp.model.prediction import predict, write_prediction
     from thetacomp.reading import read_duty, read_positions, read_temperatures
 
@@ -137,10 +137,7 @@ def _reference(text: str, temperatures: Temperatures) -> Reference:
 def _reference_text(reference: Reference, temperatures: Temperatures, model: ModelDocument, axes: Sequence[str]) -> str:
     """Where the thermal error counts as zero in this prediction, in words."""
     if reference == "model":
-        asked = [c for c in model.components.values() if (c.axis or "") in axes]
-        zeros = [
-            model.history[c.axis or ""].reference if (c.axis or "") in model.history else c.reference for c in asked
-        ]
+        zeros = [law.reference for axis, law in model.in_use.items() if axis in axes]
         moments = dict.fromkeys(f"campaign {zero.campaign} at {zero.t_s:.10g} s" for zero in zeros)
         return f"the model's own, {'; '.join(moments)}; the constants of the fit are kept"
     if reference == "first_row":
@@ -186,15 +183,17 @@ def _outcome(
     """What a person wants to know of a prediction; `axes` were asked for, `further` lines are said in the middle."""
     import numpy as np
 
+    from thetacomp.model.document import components_of
+
     rows = len(prediction.t_s)
     outside, missing = int((~prediction.in_domain).sum()), int(prediction.missing.sum())
     largest = {
         f"d{d}_um": float(np.nanmax(np.abs(column))) if np.isfinite(column).any() else None
         for d, column in zip("XYZ", prediction.error_um.T, strict=True)
     }
-    asked = {name: c for name, c in model.components.items() if (c.axis or "") in axes}
-    unpredicted = [name for name, c in asked.items() if not c.inputs and (c.axis or "") not in model.history]
-    history = sorted({c.axis or "drift" for c in asked.values() if (c.axis or "") in model.history})
+    asked = components_of({axis: law for axis, law in model.in_use.items() if axis in axes})
+    unpredicted = [name for name, component in asked.items() if not component.predicted]
+    history = sorted(axis or "drift" for axis in model.prediction if axis in axes)
     lines = [f"{_rows(rows)} written to {out}", f"  reference: {reference}"]
     for name, accuracy in prediction.replaced.items():
         cost = f": {accuracy.without_rms_um:.1f} instead of {accuracy.full_rms_um:.1f} µm RMS" if accuracy else ""

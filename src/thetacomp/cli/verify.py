@@ -28,7 +28,7 @@ def verify(
 
     def work() -> Outcome:
         from thetacomp.files import write_files
-        from thetacomp.model.document import load_model
+        from thetacomp.model.load import load_model
         from thetacomp.outputs import output_folder
         from thetacomp.reading import read_folder
         from thetacomp.report.verification import OWN, verification_files

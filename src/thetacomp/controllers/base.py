@@ -15,8 +15,7 @@ from pydantic import ValidationError
 from thetacomp.arrays import Floats
 from thetacomp.errors import InputError, Problem
 from thetacomp.machine import Strict
-from thetacomp.model.document import LinearTerm
-from thetacomp.model.law import Law
+from thetacomp.model.law import ComponentLaw
 
 SettingsT = TypeVar("SettingsT", bound=Strict)
 
@@ -68,13 +67,14 @@ class RegisterLaw:
         return value
 
 
-def register_law(law: Law, term: LinearTerm, scale: float) -> RegisterLaw:
-    """A term of the error's law times `scale`, which carries the sign and the unit of the register."""
+def register_law(one: ComponentLaw, power: int, scale: float) -> RegisterLaw:
+    """What a power of u carries in the error's law times `scale`, which holds the sign and the unit of the register."""
+    term = one.component.terms[power]
     return RegisterLaw(
-        constant=scale * term.constant if law.keeps_constant else 0.0,
-        sensors=law.inputs,
-        factors=tuple(scale * coefficient for coefficient in term.coefficients_per_K),
-        reference_degC=tuple(law.reference_degC.tolist()),
+        constant=scale * term.constant if one.law.keeps_constant else 0.0,
+        sensors=one.inputs if term.coefficients else (),
+        factors=tuple(scale * coefficient for coefficient in term.coefficients),
+        reference_degC=tuple(one.law.zero.tolist()) if term.coefficients else (),
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -20,9 +21,8 @@ from thetacomp.arrays import CARTESIAN, Floats
 from thetacomp.controllers.base import RegisterLaw, register_law
 from thetacomp.errors import AnalysisError, InputError, Problem
 from thetacomp.machine import Axis, Strict
-from thetacomp.model.document import Component, ModelDocument
-from thetacomp.model.domain import Box, largest, training_box_degC
-from thetacomp.model.law import Law, inputs_of, laws
+from thetacomp.model.document import ModelDocument
+from thetacomp.model.law import Box, ComponentLaw, box_degC, component_laws, inputs_of
 from thetacomp.model.wanted_length import (
     REFERENCE_DEGC,
     expansion_um_per_m_per_K,
@@ -216,27 +216,26 @@ def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: 
 
     Raises InputError where the settings do not fit the model, AnalysisError where nothing can be exported.
     """
-    whole = model
     _check_settings(model, settings, settings_file)
-    bound = {name: law for name, law in laws(model, settings.reference_degC).items() if law.inputs}
-    model = model.model_copy(update={"components": {name: law.component for name, law in bound.items()}})
-    box = training_box_degC(bound.values(), model.training)
+    every = component_laws(model.control, settings.reference_degC)
+    bound = {name: law for name, law in every.items() if law.component.predicted}
+    box = box_degC(bound)
     grid = {sensor: np.linspace(*box[sensor], GRID_STATES) for sensor in inputs_of(bound)}
     if follows_workpiece(model):
         sensor, (low, high) = model.length.workpiece_sensor or "", model.length.workpiece_degC
         known = box.get(sensor, (low, high))
         grid[sensor] = np.linspace(min(low, known[0]), max(high, known[1]), GRID_STATES)
-    outputs = {d: _output_axis(model, settings, d) for d in CARTESIAN}
-    sources = {d: _drift_source(model, settings, d, outputs[d]) for d in CARTESIAN if outputs[d]}
+    outputs = {d: _output_axis(model, bound, settings, d) for d in CARTESIAN}
+    sources = {d: _drift_source(model, bound, settings, d, outputs[d]) for d in CARTESIAN if outputs[d]}
 
     axes = tuple(_axis_registers(axis, model, settings, bound, box, outputs, sources) for axis in model.axes)
     by_name = {registers.axis.name: registers for registers in axes}
     tables: list[SagTable] = []
     for name, law in bound.items():
         output = outputs[law.component.direction]
-        if law.component.axis and output and not _is_own(law.component, model, settings):
+        if law.axis and output and not _is_own(law, model, settings):
             index = settings.first_cec_table + len(tables)
-            pair = (by_name[law.component.axis], by_name[output])
+            pair = (by_name[law.axis], by_name[output])
             tables.append(_sag_table(index, name, law, model, settings, pair, box))
     needed = {t.output.axis.name: 0.0 for t in tables}
     for table in tables:
@@ -250,58 +249,66 @@ def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: 
     left_out = [_left_out(law, other, grid) for law, other in pairs if law is not other]
     orphans = [law for law in bound.values() if not outputs[law.component.direction]]
     if len(orphans) == len(bound):
-        raise AnalysisError(_nothing(whole, orphans))
+        raise AnalysisError(_nothing(every, orphans))
     return Plan(
-        model=whole,
+        model=model,
         settings=settings,
         axes=tuple(registers for registers in axes if registers.compensation_type),
         tables=tuple(tables),
         left_out=tuple(left_out),
         not_exported=tuple(_not_exported(law, grid) for law in orphans),
-        unpredicted=tuple(name for name in whole.components if name not in bound),
+        unpredicted=tuple(name for name in every if name not in bound),
         max_sum_mm={name: settings.md32720_cec_max_sum_mm or value for name, value in sums.items()},
         grid_degC=grid,
     )
 
 
-def _output_axis(model: ModelDocument, settings: SinumerikSettings, direction: str) -> str | None:
+def _output_axis(
+    model: ModelDocument, bound: Mapping[str, ComponentLaw], settings: SinumerikSettings, direction: str
+) -> str | None:
     """The axis that corrects a direction: as set, else the first one with an error of its own, else the first one."""
     if direction in settings.output_axis:
         return settings.output_axis[direction]
     along = [axis.name for axis in model.axes if axis.cartesian == direction]
-    measured = [name for name in along if f"E{direction}{name}" in model.components]
+    measured = [name for name in along if f"E{direction}{name}" in bound]
     return next(iter(measured + along), None)
 
 
-def _drift_source(model: ModelDocument, settings: SinumerikSettings, direction: str, output: str | None) -> str | None:
+def _drift_source(
+    model: ModelDocument,
+    bound: Mapping[str, ComponentLaw],
+    settings: SinumerikSettings,
+    direction: str,
+    output: str | None,
+) -> str | None:
     """The one component whose intercept becomes K0: as set, else an axis along the direction, Y sweep, any other.
 
     In the joint form it is the drift alone: every other intercept is zero.
     """
     if model.form == "joint":
-        return f"D{direction}" if f"D{direction}" in model.components else None
+        return f"D{direction}" if f"D{direction}" in bound else None
     if direction in settings.drift_source:
         return settings.drift_source[direction]
-    candidates = [name for name, component in model.components.items() if component.direction == direction]
+    candidates = [name for name, law in bound.items() if law.component.direction == direction]
     along = [axis.name for axis in model.axes if axis.cartesian == direction]
     column = [axis.name for axis in model.axes if axis.cartesian == "Y"]
     order = [f"E{direction}{name}" for name in (output, *along, *column)]
     return next((name for name in (*order, *candidates) if name in candidates), None)
 
 
-def _is_own(component: Component, model: ModelDocument, settings: SinumerikSettings) -> bool:
+def _is_own(law: ComponentLaw, model: ModelDocument, settings: SinumerikSettings) -> bool:
     """True where the moving axis itself corrects this error, through its tanβ."""
-    moving = next((axis for axis in model.axes if axis.name == component.axis), None)
-    if moving is None or moving.cartesian != component.direction:
+    moving = next((axis for axis in model.axes if axis.name == law.axis), None)
+    if moving is None or moving.cartesian != law.component.direction:
         return False
-    return settings.output_axis.get(component.direction, moving.name) == moving.name
+    return settings.output_axis.get(moving.cartesian, moving.name) == moving.name
 
 
 def _axis_registers(
     axis: Axis,
     model: ModelDocument,
     settings: SinumerikSettings,
-    bound: dict[str, Law],
+    bound: Mapping[str, ComponentLaw],
     box: Box,
     outputs: dict[str, str | None],
     sources: dict[str, str | None],
@@ -309,16 +316,16 @@ def _axis_registers(
     # The model's error runs along the Cartesian direction, the register along the axis: its sign comes in here.
     sign = settings.sign_temperature * axis.sign
     drift = sources.get(axis.cartesian) if outputs[axis.cartesian] == axis.name else None
-    own = [n for n, law in bound.items() if law.component.axis == axis.name and _is_own(law.component, model, settings)]
+    own = [n for n, law in bound.items() if law.axis == axis.name and _is_own(law, model, settings)]
     slope = next(iter(own), None)
     k0, tan_beta = RegisterLaw(0.0), RegisterLaw(0.0)
     clamp_k0_mm = clamp_tan_beta = p0_mm = 0.0
     if drift:
-        k0 = register_law(bound[drift], bound[drift].component.intercept, sign * 1e-3)
-        clamp_k0_mm = settings.reserve * 1e-3 * largest(bound[drift], bound[drift].component.intercept, box)
+        k0 = register_law(bound[drift], 0, sign * 1e-3)
+        clamp_k0_mm = settings.reserve * 1e-3 * bound[drift].largest(0, box)
     if slope:
-        tan_beta = register_law(bound[slope], bound[slope].slope, sign * 1e-6)
-        clamp_tan_beta = settings.reserve * 1e-6 * largest(bound[slope], bound[slope].slope, box)
+        tan_beta = register_law(bound[slope], 1, sign * 1e-6)
+        clamp_tan_beta = settings.reserve * 1e-6 * bound[slope].largest(1, box)
         p0_mm = bound[slope].travel_mm[0]
     if follows_workpiece(model) and outputs[axis.cartesian] == axis.name:
         p0_mm = p0_mm if slope else zero_mm(model, axis)
@@ -330,7 +337,8 @@ def _axis_registers(
         if p0_mm != zero_mm(model, axis):
             k0 = _with_workpiece(k0, model, per_K * (p0_mm - zero_mm(model, axis)))
             clamp_k0_mm += abs(per_K * (p0_mm - zero_mm(model, axis))) * span_K
-    moving = [law.component for law in bound.values() if law.component.axis == axis.name]
+    moving = [law for law in bound.values() if law.axis == axis.name]
+    p_min_mm, p_max_mm = moving[0].travel_mm[1:] if moving else axis.travel_mm
     return AxisRegisters(
         axis=axis,
         channel_axis=settings.axis_name.get(axis.name, f"{axis.name}1"),
@@ -341,8 +349,8 @@ def _axis_registers(
         register_p0_mm=p0_mm,
         clamp_k0_mm=clamp_k0_mm,
         clamp_tan_beta=clamp_tan_beta,
-        p_min_mm=min((c.p_min_mm for c in moving if c.p_min_mm is not None), default=axis.travel_mm[0]),
-        p_max_mm=max((c.p_max_mm for c in moving if c.p_max_mm is not None), default=axis.travel_mm[1]),
+        p_min_mm=p_min_mm,
+        p_max_mm=p_max_mm,
     )
 
 
@@ -360,7 +368,7 @@ def _with_workpiece(register: RegisterLaw, model: ModelDocument, per_K: float) -
 def _sag_table(
     index: int,
     name: str,
-    law: Law,
+    law: ComponentLaw,
     model: ModelDocument,
     settings: SinumerikSettings,
     pair: tuple[AxisRegisters, AxisRegisters],
@@ -368,7 +376,7 @@ def _sag_table(
 ) -> SagTable:
     (base, output), (p0_mm, *ends_mm) = pair, law.travel_mm
     # Whole µm/m, so that the number in the table is the number on the sheet.
-    reference = float(max(1, math.ceil(settings.reserve * largest(law, law.slope, box))))
+    reference = float(max(1, math.ceil(settings.reserve * law.largest(1, box))))
     p_min_mm, p_max_mm = (round(end, 3) for end in ends_mm)
     step_mm = round((p_max_mm - p_min_mm) / (TABLE_POINTS - 1), 4)
     position_mm = p_min_mm + step_mm * np.arange(TABLE_POINTS)
@@ -386,33 +394,32 @@ def _sag_table(
         p_max_mm=p_max_mm,
         slope_ref_um_per_m=reference,
         register_mm=tuple(register_mm.tolist()),
-        weight=register_law(law, law.slope, 1.0 / reference),
+        weight=register_law(law, 1, 1.0 / reference),
     )
 
 
-def _warmest_K(law: Law, grid: dict[str, Floats]) -> Floats:
+def _warmest_K(law: ComponentLaw, grid: dict[str, Floats]) -> Floats:
     return law.rises_K(np.array([[grid[sensor][-1] for sensor in law.inputs]]))
 
 
-def _left_out(law: Law, counted: Law, grid: dict[str, Floats]) -> LeftOut:
-    def warmest_um(one: Law) -> tuple[float, float]:
-        rises_K, at_p0 = _warmest_K(one, grid), np.array([one.component.p0_mm or 0.0])
-        return float(one.line(rises_K)[0][0]), float(one.half_width_um(rises_K, at_p0)[0])
+def _left_out(law: ComponentLaw, counted: ComponentLaw, grid: dict[str, Floats]) -> LeftOut:
+    def warmest_um(one: ComponentLaw) -> tuple[float, float]:
+        rises_K, at_p0 = _warmest_K(one, grid), np.array([one.law.axis.p0_mm or 0.0])
+        return float(one.error_um(rises_K, at_p0)[0]), float(one.half_width_um(rises_K, at_p0)[0])
 
     (intercept_um, half_um), (counted_um, counted_half_um) = warmest_um(law), warmest_um(counted)
     bound_um = math.hypot(half_um, counted_half_um)
     return LeftOut(law.name, counted.name, law.component.direction, intercept_um, counted_um, bound_um)
 
 
-def _not_exported(law: Law, grid: dict[str, Floats]) -> NotExported:
-    component = law.component
-    ends_mm = np.array([component.p_min_mm or 0.0, component.p_max_mm or 0.0])
+def _not_exported(law: ComponentLaw, grid: dict[str, Floats]) -> NotExported:
+    ends_mm = np.array([law.law.axis.p_min_mm or 0.0, law.law.axis.p_max_mm or 0.0])
     error_um = law.error_um(np.repeat(_warmest_K(law, grid), 2, axis=0), ends_mm)
-    return NotExported(law.name, component.direction, float(np.abs(error_um).max()))
+    return NotExported(law.name, law.component.direction, float(np.abs(error_um).max()))
 
 
-def _nothing(model: ModelDocument, orphans: list[Law]) -> str:
-    lost = ", ".join(name for name, component in model.components.items() if not component.inputs)
+def _nothing(every: Mapping[str, ComponentLaw], orphans: list[ComponentLaw]) -> str:
+    lost = ", ".join(name for name, law in every.items() if not law.component.predicted)
     no_axis = ", ".join(f"{law.name} (no axis along {law.component.direction})" for law in orphans)
     reasons = [f"no sensor predicts {lost}"] * bool(lost) + [f"no axis corrects {no_axis}"] * bool(no_axis)
     return (
@@ -422,7 +429,7 @@ def _nothing(model: ModelDocument, orphans: list[Law]) -> str:
 
 
 def _check_settings(model: ModelDocument, settings: SinumerikSettings, file: str) -> None:
-    axes = {axis.name: axis for axis in model.axes}
+    axes, components = {axis.name: axis for axis in model.axes}, model.components
     found: list[tuple[str, str]] = []
     for key in ("axis_name", "axis_number"):
         for name in getattr(settings, key):
@@ -435,22 +442,22 @@ def _check_settings(model: ModelDocument, settings: SinumerikSettings, file: str
                 (f"output_axis.{direction} = {name!r}: not an axis along {direction}.", f"choose from {along}.")
             )
     for direction, name in settings.drift_source.items():
-        if name not in model.components or model.components[name].direction != direction:
-            known = [n for n, component in model.components.items() if component.direction == direction]
+        if name not in components or components[name].direction != direction:
+            known = [n for n, component in components.items() if component.direction == direction]
             found.append(
                 (f"drift_source.{direction} = {name!r}: not an error in {direction}.", f"choose from {known}.")
             )
-        elif model.form == "joint" and model.components[name].axis is not None:
+        elif model.form == "joint" and name[0] == "E":
             found.append(
                 (
                     f"drift_source.{direction} = {name!r}: the model is in the joint form, its drift is D{direction}.",
                     "leave the setting out.",
                 )
             )
-        elif not model.components[name].inputs:
+        elif not components[name].predicted:
             found.append((f"drift_source.{direction} = {name!r}: no sensor predicts it.", "choose another error."))
     if settings.reference_degC is not None:
-        inputs = {sensor for component in model.components.values() for sensor in component.inputs}
+        inputs = {sensor for law in model.control.values() for sensor in law.layout.sensors}
         lacking, spare = sorted(inputs - set(settings.reference_degC)), sorted(set(settings.reference_degC) - inputs)
         if lacking or spare:
             text = f"reference_degC: missing {lacking or 'nothing'}, not an input of the model: {spare or 'nothing'}."

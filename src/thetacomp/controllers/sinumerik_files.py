@@ -141,7 +141,7 @@ def reference_lines(plan: Plan) -> list[str]:
     sources = [s for a in plan.axes for s in (a.drift_source, a.slope_source) if s] + [t.source for t in plan.tables]
     moments: dict[str, list[str]] = {}
     for name in dict.fromkeys(sources):
-        reference = plan.model.components[name].reference
+        reference = next(law.reference for law in plan.model.control.values() if name in law.components)
         moments.setdefault(f"campaign {reference.campaign} at {reference.t_s:.10g} s", []).append(name)
     if len(moments) == 1:
         return [f"reference: {next(iter(moments))}; {anew}"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from thetacomp.controllers.sinumerik import LeftOut, Plan
+from thetacomp.model.document import components_of
 
 
 def remarks(plan: Plan) -> tuple[str, ...]:
@@ -15,12 +16,12 @@ def remarks(plan: Plan) -> tuple[str, ...]:
 def left_to_history(plan: Plan) -> tuple[str, ...]:
     """What the law on key temperatures gives away against the model on heat history, held out."""
     worse = []
+    used = components_of(plan.model.prediction)
     for name, component in plan.model.components.items():
-        axis = plan.model.history.get(component.axis or "")
-        better = axis.components.get(name) if axis else None
+        better = used.get(name)
         if better and better.held_out_um and component.held_out_um and better.held_out_um[0] < component.held_out_um[0]:
             worse.append(f"{name} {component.held_out_um[0]:.1f} instead of {better.held_out_um[0]:.1f} µm")
-    if not plan.model.history:
+    if not plan.model.prediction:
         return ()
     told = f" Held out it leaves (RMS): {', '.join(worse)}." if worse else ""
     return (f"the control carries the law on key temperatures; heat history needs filters that run beside it.{told}",)
@@ -39,7 +40,7 @@ def worst_drift(plan: Plan) -> str:
         return ""
     worst = found[0]
     channel_axis = next(axis.channel_axis for axis in plan.axes if axis.drift_source == worst.counted)
-    axis = plan.model.components[worst.component].axis
+    axis = worst.component[2:]
     seen = f"from the sweep along {axis}" if axis else "measured at a fixed position"
     more = f" {len(found) - 1} more such pairs are in part 6 of the sheet." if len(found) > 1 else ""
     return (

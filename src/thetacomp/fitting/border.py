@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.conformal import attainable_level, conformal_quantile, training_reach
+from thetacomp.fitting.conformal import attainable_level, conformal_quantile, training_leverage
 from thetacomp.model.border import Validity, furthest
 from thetacomp.temperature.passage import Passage
 
@@ -39,8 +39,8 @@ def calibrate_validity(
     highest = np.empty((m, 2))
     for row, label in enumerate(labels):
         others = campaign != label
-        reach = training_reach(inputs[others], campaign[others], centred=True)
-        highest[row] = furthest(reach, *_range(every[of != label]), every[of == label]).max(axis=0)
+        leverage = training_leverage(inputs[others], campaign[others], centred=True)
+        highest[row] = furthest(leverage, *_range(every[of != label]), every[of == label]).max(axis=0)
     unit = np.median(highest, axis=0)
     scores = (highest / unit).max(axis=1)
     level = min(quiet_level, attainable_level(m))
@@ -49,7 +49,7 @@ def calibrate_validity(
     if level < quiet_level:
         sentence += f" {quiet_level:.0%} was wanted: measure more campaigns."
     return Validity(
-        reach=training_reach(inputs, campaign, centred=True),
+        leverage=training_leverage(inputs, campaign, centred=True),
         middle=tuple(float(value) for value in middle),
         half_span=tuple(float(value) for value in half_span),
         leverage_unit=float(unit[0]),

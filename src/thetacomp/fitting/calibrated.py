@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from thetacomp.arrays import Bools, Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.border import calibrate_validity
-from thetacomp.fitting.conformal import HeldOut, calibrate_band, held_out_leverage, training_reach
+from thetacomp.fitting.conformal import HeldOut, calibrate_band, held_out_leverage, training_leverage
 from thetacomp.fitting.history_model import HistoryModel, history_procedure
 from thetacomp.fitting.prior import fit_prior
-from thetacomp.model.document import HistoryAxis, HistoryComponent, HistoryReference
+from thetacomp.model.border import Border
+from thetacomp.model.document import AxisLaw, Component, Reference, Term
 from thetacomp.model.filters import HistoryLayout
-from thetacomp.model.history_law import HistoryLaw, HistoryMoments
+from thetacomp.model.law import Law
 from thetacomp.states import AxisStates, Samples, curve_um
 
 
@@ -27,18 +28,20 @@ class CalibratedHistory:
     NaN where an input is missing.
     """
 
-    document: HistoryAxis
+    document: AxisLaw
     left_out_um: Mapping[str, Floats]
 
     @property
-    def components(self) -> Mapping[str, HistoryComponent]:
+    def components(self) -> Mapping[str, Component]:
         """The components of the document."""
         return self.document.components
 
     def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:
         """Thermal error of samples in µm and the half width of its 95 % band, both (n,)."""
-        law = HistoryLaw(self.document, _moments(self.document.layout, states, samples))
-        return law.error_um(component, samples.lever_m), law.half_width_um(component)
+        layout = self.document.layout
+        degC = _sensor_columns(layout, states, samples.rise_K + states.reference_degC[samples.state])
+        values = Law.of_model(self.document).at(samples.history, degC)
+        return values.error_um(component, samples.lever_m), values.half_width_um(component, samples.lever_m)
 
 
 def calibrated_history(states: AxisStates) -> CalibratedHistory:
@@ -51,23 +54,23 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
     known = np.isfinite(states.history).all(axis=1)
     moved, campaign = states.history[known], states.campaign[known]
     temperature_degC = _sensor_columns(layout, states, states.rise_K + states.reference_degC)[known]
-    reach = training_reach(moved, campaign)
     drift = states.is_drift
-    document = HistoryAxis(
-        axis=None if drift else states.axis,
+    document = AxisLaw(
+        axis=states.axis,
         p0_mm=None if drift else states.p0_mm,
         p_min_mm=None if drift else states.p_min_mm,
         p_max_mm=None if drift else states.p_max_mm,
         layout=layout,
-        reference=HistoryReference(
+        reference=Reference(
             campaign=states.campaigns[int(states.campaign[0])],
             t_s=float(states.reference_s[0]),
             inputs=_plain(states.reference_history[0]),
         ),
-        reach=reach,
-        validity=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.passage),
+        leverage=training_leverage(moved, campaign),
+        border=Border(
+            distance=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.passage),
+        ),
         components={},
-        campaigns=len(np.unique(campaign)),
         candidates=len(model.ridge.candidates),
     )
     left_out_um = {name: _left_out_um(states, model, k) for k, name in enumerate(states.components)}
@@ -75,32 +78,30 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
     return CalibratedHistory(document.model_copy(update={"components": components}), left_out_um)
 
 
-def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Floats) -> HistoryComponent:
+def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Floats) -> Component:
     name, count = states.components[k], len(states.components)
-    rise_K = states.history[:, : len(model.layout.sensors)]
-    intercept_prior = _prior(model.layout, rise_K, states.intercept_um[:, k], states)
-    slope = slope_prior = bend = bend_prior = None
+    targets = [states.intercept_um[:, k]]
     if not states.is_drift:
-        slope = _plain(model.ridge.coef_[count + k])
-        slope_prior = _prior(model.layout, rise_K, states.slope_um_per_m[:, k], states)
-    if np.any(np.nan_to_num(states.bend_um_per_m2[:, k])):
-        bend = _plain(model.ridge.coef_[2 * count + k])
-        bend_prior = _prior(model.layout, rise_K, states.bend_um_per_m2[:, k], states)
+        targets.append(states.slope_um_per_m[:, k])
+        if np.any(np.nan_to_num(states.bend_um_per_m2[:, k])):
+            targets.append(states.bend_um_per_m2[:, k])
+    rise_K = states.history[:, : len(model.layout.sensors)]
     samples = states.samples[k]
     samples = samples.take(_complete(samples))
     in_sample_um = samples.value_um - model.predict(name, states, samples)[0]
-    return HistoryComponent.model_validate(
+    band = calibrate_band(_held_out(states, k, left_out_um))
+    return Component.model_validate(
         {
             "direction": name[1],
-            "intercept_um": _plain(model.ridge.coef_[k]),
-            "slope_um_per_m": slope,
-            "bend_um_per_m2": bend,
-            "prior_intercept_um_per_K": intercept_prior,
-            "prior_slope_um_per_m_per_K": slope_prior,
-            "prior_bend_um_per_m2_per_K": bend_prior,
-            "band": calibrate_band(_held_out(states, k, left_out_um)),
+            "terms": tuple(
+                Term(
+                    coefficients=_plain(model.ridge.coef_[power * count + k]),
+                    beyond=fit_prior(model.layout.sensors, rise_K, target, states.campaign).coefficients_um_per_K,
+                )
+                for power, target in enumerate(targets)
+            ),
+            "band": replace(band, noise_sd_um=float(np.sqrt(np.mean(samples.noise_sd_um**2)))),
             "residual_um": (float(np.sqrt(np.mean(in_sample_um**2))), float(np.abs(in_sample_um).max())),
-            "noise_sd_um": float(np.sqrt(np.mean(samples.noise_sd_um**2))),
         }
     )
 
@@ -125,15 +126,6 @@ def _held_out(states: AxisStates, k: int, left_out_um: Floats) -> HeldOut:
     own = samples.take(judged)
     campaign = states.campaign[own.state]
     return HeldOut(own.value_um - left_out_um[judged], held_out_leverage(own.history, campaign), campaign)
-
-
-def _prior(layout: HistoryLayout, rise_K: Floats, target: Floats, states: AxisStates) -> tuple[float, ...]:
-    return fit_prior(layout.sensors, rise_K, target, states.campaign).coefficients_um_per_K
-
-
-def _moments(layout: HistoryLayout, states: AxisStates, samples: Samples) -> HistoryMoments:
-    absolute_degC = samples.rise_K + states.reference_degC[samples.state]
-    return HistoryMoments(samples.history, _sensor_columns(layout, states, absolute_degC))
 
 
 def _sensor_columns(layout: HistoryLayout, states: AxisStates, values: Floats) -> Floats:

@@ -27,7 +27,7 @@ machine.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,8 +36,8 @@ from scipy import special
 
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
-from thetacomp.model.band import Band, Scale
-from thetacomp.model.leverage import Reach
+from thetacomp.model.band import Band
+from thetacomp.model.leverage import Leverage
 
 LEVEL = 0.95
 # directions with less than this share of an input's own mean square are not told from noise
@@ -77,7 +77,7 @@ def campaign_weights(campaign: NDArray[Any]) -> Floats:
     return weights
 
 
-def training_reach(inputs: Floats, campaign: NDArray[Any], *, centred: bool = False) -> Reach:
+def training_leverage(inputs: Floats, campaign: NDArray[Any], *, centred: bool = False) -> Leverage:
     """The shape of training inputs (n, k), which count from the reference unless they are to be `centred`."""
     weights = campaign_weights(campaign)
     centre = weights @ inputs if centred else np.zeros(inputs.shape[1])
@@ -87,7 +87,7 @@ def training_reach(inputs: Floats, campaign: NDArray[Any], *, centred: bool = Fa
     z = moved / np.where(scale > 0, scale, np.inf)
     moments, vectors = np.linalg.eigh(z.T @ (z * weights[:, None]))
     kept = moments > FLOOR
-    return Reach(
+    return Leverage(
         centre=_plain(centre),
         scale=_plain(scale),
         directions=tuple(_plain(vector) for vector in vectors[:, kept].T),
@@ -149,7 +149,7 @@ def held_out_leverage(inputs: Floats, campaign: NDArray[Any]) -> Floats:
     leverage = np.empty(len(inputs))
     for label in labels:
         own = campaign == label
-        leverage[own] = training_reach(inputs[~own], campaign[~own]).leverage(inputs[own])
+        leverage[own] = training_leverage(inputs[~own], campaign[~own]).at(inputs[own])
     return leverage
 
 
@@ -168,20 +168,20 @@ def calibrate_band(rows: HeldOut, level: float = LEVEL) -> Band:
     size_um, leverage, campaign = np.abs(rows.residual_um[known]), rows.leverage[known], rows.campaign[known]
     m = len(np.unique(campaign))
     weights = campaign_weights(campaign)
-    scale = _scale(size_um, leverage, weights)
-    scores = size_um / scale.at(leverage)
+    shape = _likeliest_shape(size_um, leverage, weights)
+    scores = size_um / shape.half_width_um(leverage)
     if level <= attainable_level(m):
         quantile = crossed_quantile(scores, campaign, level)
     else:
         quantile = _normal_quantile(scores, campaign, level)
     guaranteed = float(weights @ (scores <= quantile)) * m / (m + 1)
-    return Band(
+    return replace(
+        shape,
         level=level,
         guaranteed_level=guaranteed,
         attainable_level=attainable_level(m),
         campaigns=m,
         quantile=quantile,
-        scale=scale,
         sentence=level_sentence(m, level, guaranteed),
     )
 
@@ -215,20 +215,23 @@ def level_sentence(campaigns: int, level: float, guaranteed: float) -> str:
     )
 
 
-def _scale(size_um: Floats, leverage: Floats, weights: Floats) -> Scale:
-    """The scale under which the sizes (n,) are most likely if they were normal, on a grid of growth and knee."""
-    best, out = math.inf, Scale(0.0, 0.0, 1.0, 1.0)
+def _likeliest_shape(size_um: Floats, leverage: Floats, weights: Floats) -> Band:
+    """The band of one standard deviation under which the sizes (n,) are most likely, if they were normal.
+
+    On a grid of growth and knee.
+    """
+    best, out = math.inf, Band(1.0, (0.0,), growth=0.0)
     far = max(float(leverage.max()), 1e-9)
     for knee in np.maximum(np.quantile(leverage, _KNEES), 1e-9 * far):
-        bent = Scale(0.0, 1.0, float(knee), far).at(leverage) ** 2
-        for ratio in _GROWTH_RATIOS:
-            shape = 1.0 + ratio * bent
+        bent = Band(1.0, (1.0,), knee=float(knee), far=far).grown(leverage)
+        for growth in _GROWTH_RATIOS:
+            shape = 1.0 + growth * bent
             # the smallest scale that a displacement can have: it keeps the score finite where all residuals are zero
             base_square = max(float(weights @ (size_um**2 / shape)), 1e-12)
             unlikely = math.log(base_square) + float(weights @ np.log(shape))
             if unlikely < best:
                 best = unlikely
-                out = Scale(math.sqrt(base_square), math.sqrt(base_square * ratio), float(knee), far)
+                out = Band(1.0, (math.sqrt(base_square),), growth=float(growth), knee=float(knee), far=far)
     return out
 
 

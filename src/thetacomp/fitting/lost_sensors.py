@@ -8,7 +8,7 @@ from dataclasses import replace
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
 from thetacomp.fitting.fallbacks import accuracy_of
-from thetacomp.model.document import Accuracy, HistoryAxis, HistoryComponent, HistoryFallback
+from thetacomp.model.document import Accuracy, AxisLaw, Component, Fallback
 from thetacomp.separation.component import ComponentSeparation
 from thetacomp.states import AxisStates, axis_states
 
@@ -20,7 +20,7 @@ def with_fallbacks(
     states: AxisStates,
     whole: CalibratedHistory,
     wanted: Collection[str] | None = None,
-) -> HistoryAxis:
+) -> AxisLaw:
     """The document of an axis with a fallback for each sensor of its layout; none for a layout of one sensor.
 
     `states` are those that `whole` was fitted on, from `separations` of the training `campaigns`. `wanted` names the
@@ -39,10 +39,10 @@ def with_fallbacks(
         }
         components = {name: _widened(c, axis.components[name], accuracy[name]) for name, c in fitted.components.items()}
         made.append(
-            HistoryFallback(
+            Fallback(
                 lost=lost,
                 layout=fitted.document.layout,
-                reference_inputs=fitted.document.reference.inputs,
+                reference=fitted.document.reference,
                 components=components,
                 accuracy=accuracy,
             )
@@ -50,7 +50,8 @@ def with_fallbacks(
     return axis.model_copy(update={"fallbacks": tuple(made)})
 
 
-def _widened(component: HistoryComponent, full: HistoryComponent, accuracy: Accuracy) -> HistoryComponent:
+def _widened(component: Component, full: Component, accuracy: Accuracy) -> Component:
     """The component with the band of the full model times what the loss costs, never narrower."""
     factor = max(1.0, accuracy.without_rms_um / accuracy.full_rms_um) if accuracy.full_rms_um > 0 else 1.0
-    return component.model_copy(update={"band": replace(full.band, quantile=factor * full.band.quantile)})
+    quantile, noise_sd_um = factor * (full.band.quantile or 0.0), component.band.noise_sd_um
+    return component.model_copy(update={"band": replace(full.band, quantile=quantile, noise_sd_um=noise_sd_um)})

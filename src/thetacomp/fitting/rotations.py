@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thetacomp.arrays import CARTESIAN
 from thetacomp.campaign import MachineFolder
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.build import component_of
+from thetacomp.fitting.build import key_point_law, training_ranges
 from thetacomp.fitting.key_point_law import AxisModel, fit_axis
-from thetacomp.model.document import Component, ModelDocument
+from thetacomp.model.document import AxisLaw, Component, ModelDocument
 from thetacomp.separation import Separated
 from thetacomp.states import AxisStates, axis_states
-
-ABOUT = dict(zip("ABC", CARTESIAN, strict=True))
 
 
 def with_form(
@@ -31,18 +28,19 @@ def with_form(
     if separated.form == "separate":
         return document
     inputs = {states.axis: model.inputs for states, model in fitted}
-    rotations: dict[str, Component] = {}
+    rotations: dict[str, AxisLaw] = {}
     for states in axis_states(folder, separated.angles, train) if separated.angles else ():
         try:
             model = fit_axis(states, inputs.get(states.axis, ()))
         except AnalysisError:
             continue
-        for k, name in enumerate(states.components):
-            rotations[name] = _as_angle(component_of(states, model, k, ABOUT[name[1]]))
+        law = key_point_law(states, model, training_ranges(fitted), document.training.datum)
+        rotations[states.axis] = law.model_copy(
+            update={"components": {name: _as_angle(one) for name, one in law.components.items()}}
+        )
     length_mm = folder.campaign(train[0]).settings.tool_length_mm
     return document.model_copy(update={"form": "joint", "tool_length_mm": length_mm, "rotations": rotations})
 
 
 def _as_angle(component: Component) -> Component:
-    equation = component.equation.replace("[µm;", "[µrad;")
-    return component.model_copy(update={"equation": equation})
+    return component.model_copy(update={"equation": component.equation.replace("[µm;", "[µrad;")})

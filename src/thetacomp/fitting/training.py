@@ -18,7 +18,7 @@ from thetacomp.fitting.once import Once
 from thetacomp.fitting.procedures import key_point_procedure, paper_procedure
 from thetacomp.fitting.rotations import with_form
 from thetacomp.folds import hold_out, main_split
-from thetacomp.model.document import HistoryAxis, ModelDocument
+from thetacomp.model.document import AxisLaw, ModelDocument
 from thetacomp.preparation import Prepared, Progress
 from thetacomp.states import AxisStates
 
@@ -52,7 +52,7 @@ class Trained:
 
     def __repr__(self) -> str:
         laws = "; ".join(f"{s.label}: {', '.join(law.inputs) or 'no sensor'}" for s, law in self.fitted)
-        with_history = ", ".join(axis or "drift" for axis in self.model.history) or "no axis"
+        with_history = ", ".join(axis or "drift" for axis in self.model.prediction) or "no axis"
         return (
             f"Trained on {', '.join(self.model.training.campaigns)}: {self.model.machine or 'machine'},"
             f" {len(self.model.components)} components, {self.model.form} form\n"
@@ -108,7 +108,7 @@ def _document(
     fitted: Fitted,
     method: str,
     fallbacks: Sequence[AxisFallback] = (),
-    history: Sequence[HistoryAxis] = (),
+    history: Sequence[AxisLaw] = (),
 ) -> ModelDocument:
     plain = build_document(prepared.folder, fitted, method, prepared.train, prepared.notes, fallbacks, history)
     return with_form(plain, prepared.folder, prepared.separated, fitted, prepared.train)

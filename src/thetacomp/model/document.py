@@ -1,73 +1,76 @@
-"""`model.json`: the one document that passes from the analysis wing to the machine wing."""
+"""`model.json`, format 2: the one document that passes from the analysis wing to the machine wing.
+
+It holds one kind of law. A component of the error is `E = Σ_k u^k (constant_k + c_k · (x - x_ref))`, u = distance from
+P0 in m, k = 0, 1, 2, x = the inputs that the law's layout makes of temperatures and speed.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from thetacomp.errors import ModelFileError
 from thetacomp.files import write_file
 from thetacomp.machine import Axis, Strict, WantedLength
 from thetacomp.model.band import Band
-from thetacomp.model.border import Validity
+from thetacomp.model.border import Border
 from thetacomp.model.filters import HistoryLayout
-from thetacomp.model.leverage import Reach
+from thetacomp.model.leverage import Leverage
 
-FORMAT = 1
+FORMAT: Literal[2] = 2
 
 
 class Reference(Strict):
-    """The state at which the thermal error counts as zero: temperatures of the inputs at that moment."""
+    """The moment at which the error counts as zero: all inputs of the layout there, filters and all."""
 
     campaign: str
     t_s: float
-    temperature_degC: dict[str, float]
+    inputs: tuple[float, ...]
 
 
-class LinearTerm(Strict):
-    """`constant + Σ coefficient_j (θ_j - θ_j,reference)`, in the unit that the owner states.
+class Term(Strict):
+    """What one power of u carries: `constant + Σ coefficient_j (x_j - x_j,reference)`.
 
-    `covariance` is that of (constant, coefficients); `residual_sd` the standard deviation of the fit's residuals
-    with `dof` degrees of freedom.
+    One coefficient an input; none at all where no input predicts the error, which then stays at its constant. In µm,
+    µm/m or µm/m² by the power (angles: µrad, µrad/m), the coefficients per unit of the input. `beyond` is the prior, a
+    law on the plain rises of the layout's sensors (per K) that takes over outside the border; None where the law goes
+    on as it is. `r_squared` is in-sample, None where it was not worked out.
     """
 
-    constant: float
-    coefficients_per_K: tuple[float, ...]
-    covariance: tuple[tuple[float, ...], ...]
-    residual_sd: Annotated[float, Field(ge=0.0)]
-    r_squared: float
+    constant: float = 0.0
+    coefficients: tuple[float, ...]
+    beyond: tuple[float, ...] | None = None
+    r_squared: float | None = None
 
 
 class Component(Strict):
-    """Thermal part of one error component: `E = intercept + slope (p - p0_mm) / 1000`, in µm.
+    """One component of the error: `terms` by the power of u, one for drift, two for a line, three where it bends.
 
-    `intercept` is in µm, `slope` in µm/m; `slope`, `axis` and the positions are absent for drift at a fixed position.
-    `residual_correlation` is that between the residuals of intercept and slope; `residual_um` holds the RMS and the
-    maximum of what remains over the travel on the training states (in-sample); `held_out_um` the RMS, 95th percentile
-    and maximum on data that the same procedure had not seen, None where nothing could be held out. Both terms share
-    `inputs` and `dof`. `through_zero` says that the fit was forced through zero at the reference, where the error is
-    zero by definition; the constants are then exactly zero.
+    `leverage` stands where the component was fitted on other states than the rest of its axis. `through_zero` says
+    that the residuals count against the reference, where the error is zero by definition; the constants are then
+    zero. `dof` and `states` belong to a regression. `residual_um` holds the RMS and the maximum of what remains over
+    the travel on the training states (in-sample); `held_out_um` the RMS, 95th percentile and maximum on data that the
+    same procedure had not seen, None where nothing could be held out.
     """
 
     direction: Literal["X", "Y", "Z"]
-    axis: str | None
-    p0_mm: float | None
-    p_min_mm: float | None
-    p_max_mm: float | None
-    reference: Reference
-    inputs: tuple[str, ...]
-    intercept: LinearTerm
-    slope: LinearTerm | None
-    residual_correlation: float
-    through_zero: bool = False
-    dof: Annotated[int, Field(ge=0)]
-    states: int
+    terms: Annotated[tuple[Term, ...], Field(min_length=1, max_length=3)]
+    band: Band
+    leverage: Leverage | None = None
+    through_zero: bool = True
+    dof: Annotated[int, Field(ge=0)] | None = None
+    states: Annotated[int, Field(ge=0)] | None = None
     residual_um: tuple[float, float]
     held_out_um: tuple[float, float, float] | None = None
-    equation: str
+    equation: str = ""
+
+    @property
+    def predicted(self) -> bool:
+        """False where no input predicts the error: it stays at its constant."""
+        return any(term.coefficients for term in self.terms)
 
 
 class Accuracy(Strict):
@@ -79,133 +82,110 @@ class Accuracy(Strict):
 
 
 class Fallback(Strict):
-    """Ready components for the day on which the sensor `lost` is lost: all those that use it, made without it.
+    """What changes in the law of an axis on the day on which the sensor `lost` is lost.
 
-    `accuracy` has one entry a component. The held-out errors come from the same procedure inside every fold.
+    `components` are made by the same procedure without it, on the inputs of `layout`. Leverage and border are those
+    of the whole law, seen in the inputs that are left, where none are given. `accuracy` has one entry a component;
+    its held-out errors come from the same procedure inside every fold.
     """
 
     lost: str
+    layout: HistoryLayout
+    reference: Reference
     components: dict[str, Component]
     accuracy: dict[str, Accuracy]
+    leverage: Leverage | None = None
+    border: Border | None = None
 
 
-class HistoryReference(Strict):
-    """The moment at which the error counts as zero: all inputs of the layout there, filters and all."""
+class AxisLaw(Strict):
+    """The law of all errors while one axis moves (`axis` "": drift at a fixed position, without positions).
 
-    campaign: str
-    t_s: float
-    inputs: tuple[float, ...]
-
-
-class HistoryComponent(Strict):
-    """One error component on heat history: `E = Σ (intercept_j + slope_j u + bend_j u²) (x_j - x_j,reference)`.
-
-    u = (p - p0_mm) / 1000. One coefficient an input of the layout: `intercept_um` in µm, `slope_um_per_m` in µm/m (None
-    for drift), `bend_um_per_m2` in µm/m² (None for what stays a line) per unit of the input. `prior_*` is the law on
-    the plain rises of the layout's sensors that takes over where the model is outside its border, per K. `band` is the
-    95 % band of E; it holds the scatter `noise_sd_um` of one reading. `residual_um` and `held_out_um` as in Component.
+    `layout` says what the inputs are and in which order; its first inputs are the temperatures themselves.
+    `leverage` measures how far inputs (from the reference) lie from training, for the bands. `candidates` counts the
+    models that were compared inside the training campaigns.
     """
 
-    direction: Literal["X", "Y", "Z"]
-    intercept_um: tuple[float, ...]
-    slope_um_per_m: tuple[float, ...] | None
-    bend_um_per_m2: tuple[float, ...] | None = None
-    prior_intercept_um_per_K: tuple[float, ...]
-    prior_slope_um_per_m_per_K: tuple[float, ...] | None
-    prior_bend_um_per_m2_per_K: tuple[float, ...] | None = None
-    band: Band
-    residual_um: tuple[float, float]
-    held_out_um: tuple[float, float, float] | None = None
-    noise_sd_um: float = 0.0
-
-
-class HistoryFallback(Strict):
-    """What changes in the model of an axis on the day on which the sensor `lost` is lost.
-
-    `layout` is that of the other sensors, `reference_inputs` its inputs at the reference; `components` are fitted on
-    it by the same procedure, their bands widened by what the loss costs. `accuracy` has one entry a component.
-    """
-
-    lost: str
+    axis: str
+    p0_mm: float | None = None
+    p_min_mm: float | None = None
+    p_max_mm: float | None = None
     layout: HistoryLayout
-    reference_inputs: tuple[float, ...]
-    components: dict[str, HistoryComponent]
-    accuracy: dict[str, Accuracy]
-
-
-class HistoryAxis(Strict):
-    """The model of one moving axis on heat history (`axis` None: drift at a fixed position).
-
-    `layout` says what the inputs are and in which order; its first inputs are the temperatures themselves. `reach`
-    measures how far inputs (from the reference) lie from training, for the bands; `validity` is the border in those
-    inputs and, behind them, the absolute temperatures. `candidates` counts the block models that were compared inside
-    the training campaigns.
-    """
-
-    axis: str | None
-    p0_mm: float | None
-    p_min_mm: float | None
-    p_max_mm: float | None
-    layout: HistoryLayout
-    reference: HistoryReference
-    reach: Reach
-    validity: Validity
-    components: dict[str, HistoryComponent]
-    campaigns: int
-    candidates: int
-    fallbacks: tuple[HistoryFallback, ...] = ()
+    reference: Reference
+    leverage: Leverage
+    border: Border
+    components: dict[str, Component]
+    candidates: int | None = None
+    fallbacks: tuple[Fallback, ...] = ()
 
 
 class Training(Strict):
-    """What the model was trained on. `range_degC` is the span of each input, `range_rise_K` that of its rise."""
+    """What the model was trained on."""
 
     campaigns: tuple[str, ...]
     mode: str
     instrument: str
     datum: Literal["campaign", "common"]
-    range_degC: dict[str, tuple[float, float]]
-    range_rise_K: dict[str, tuple[float, float]]
 
 
 class ModelDocument(Strict):
     """A thermal model as it is stored, read and exported. Units are in the names; see docs/nomenclature.md.
 
-    `components` are the laws on a few key temperatures, which any control can carry. `history` holds, by axis ("" for
-    drift), the models on heat history; where an axis has one, it is what a prediction uses. `failed_checks` names the
-    acceptance checks that the model in use failed, `failed_static_checks` those that `components` failed, where these
-    are not what is in use: whoever uses one of them must see its own.
+    `control` holds by axis ("" for drift) the law on a few key temperatures, which any control can carry;
+    `prediction` the law on heat history, which predictions use where an axis has one. `failed_checks` names the
+    acceptance checks that the model in use failed, `failed_static_checks` those that `control` failed, where that is
+    not what is in use: whoever uses one of them must see its own.
 
     `form`: in the "joint" form the components `DX`, `DY`, `DZ` hold the drift of all axes and every `E..` is zero at
     its P0, with the tool of `tool_length_mm`; `axes` then stand in the order from the workpiece to the tool. In the
-    "separate" form every intercept holds the drift. `rotations` are thermal angles of the joint form, in µrad and
-    µrad/m instead of µm and µm/m: `EAX` about X while X moves, `DA` at fixed positions; their `direction` is the axis
-    about which they turn.
+    "separate" form every constant term holds the drift. `rotations` are thermal angles of the joint form by axis, in
+    µrad and µrad/m instead of µm and µm/m: `EAX` about X while X moves, `DA` at fixed positions; their `direction` is
+    the axis about which they turn.
     """
 
     kind: Literal["thetacomp model"] = "thetacomp model"
-    format: Literal[1] = 1
+    format: Literal[2] = FORMAT
     version: str
     created: str
     machine: str
     axes: tuple[Axis, ...]
+    length: WantedLength = WantedLength()
     sign: Literal["stated", "unproven"]
     method: str
-    components: dict[str, Component]
+    form: Literal["separate", "joint"] = "separate"
+    tool_length_mm: float = 0.0
+    control: dict[str, AxisLaw]
+    prediction: dict[str, AxisLaw] = Field(default_factory=dict)
+    rotations: dict[str, AxisLaw] = Field(default_factory=dict)
     training: Training
     failed_checks: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    fallbacks: tuple[Fallback, ...] = ()
-    history: dict[str, HistoryAxis] = Field(default_factory=dict)
     failed_static_checks: tuple[str, ...] = ()
-    form: Literal["separate", "joint"] = "separate"
-    length: WantedLength = WantedLength()
-    tool_length_mm: float = 0.0
-    rotations: dict[str, Component] = Field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def in_use(self) -> dict[str, AxisLaw]:
+        """By axis the law that answers for it: on heat history where there is one."""
+        return {**self.control, **self.prediction}
+
+    @property
+    def components(self) -> dict[str, Component]:
+        """The components that a control carries, of all axes."""
+        return components_of(self.control)
+
+    @property
+    def trained(self) -> Border:
+        """The box of everything that `control` and its fallbacks were trained on."""
+        borders = [law.border for law in self.control.values()]
+        borders += [f.border for law in self.control.values() for f in law.fallbacks if f.border is not None]
+        return Border(
+            {sensor: span for border in borders for sensor, span in border.temperature_degC.items()},
+            {sensor: span for border in borders for sensor, span in border.rise_K.items()},
+        )
 
     @property
     def failed_export_checks(self) -> tuple[str, ...]:
-        """The acceptance checks that `components` failed: what stands in the way of handing them to a control."""
-        return self.failed_static_checks if self.history else self.failed_checks
+        """The acceptance checks that `control` failed: what stands in the way of handing it to a control."""
+        return self.failed_static_checks if self.prediction else self.failed_checks
 
     def to_json(self) -> str:
         """The document as indented JSON text, rows of numbers on one line, non-ASCII letters kept readable."""
@@ -214,6 +194,11 @@ class ModelDocument(Strict):
     def save(self, path: Path) -> None:
         """Write the document as UTF-8 JSON, whole or not at all. Raises OutputError."""
         write_file(path, self.to_json())
+
+
+def components_of(laws: Mapping[str, AxisLaw]) -> dict[str, Component]:
+    """The components of several axes by name."""
+    return {name: component for law in laws.values() for name, component in law.components.items()}
 
 
 def _indented(value: object, indent: str = "") -> str:
@@ -225,31 +210,3 @@ def _indented(value: object, indent: str = "") -> str:
     if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
         return "[\n" + ",\n".join(inner + _indented(item, inner) for item in value) + f"\n{indent}]"
     return json.dumps(value, ensure_ascii=False)
-
-
-def load_model(path: Path) -> ModelDocument:
-    """Read a stored model. Raises ModelFileError with what was found, what was expected and what to do."""
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise ModelFileError(
-            f"{path}: there is no such file. Fix: name the model.json that `thetacomp analyze` wrote."
-        ) from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as exc:
-        raise ModelFileError(f"{path}: not readable as JSON ({exc}). Fix: run `thetacomp analyze` again.") from None
-    if not isinstance(raw, dict) or raw.get("kind") != "thetacomp model":
-        raise ModelFileError(f"{path}: this JSON file is not a thetacomp model (no kind 'thetacomp model').")
-    if raw.get("format") != FORMAT:
-        raise ModelFileError(
-            f"{path}: model format {raw.get('format')!r}; this version reads format {FORMAT}."
-            " Fix: use the thetacomp version that wrote it, or run `thetacomp analyze` again."
-        )
-    try:
-        return ModelDocument.model_validate(raw)
-    except ValidationError as exc:
-        first = exc.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ModelFileError(
-            f"{path}: {place}: {first['msg']} ({exc.error_count()} problems in all)."
-            " Fix: do not edit model files by hand; run `thetacomp analyze` again."
-        ) from None

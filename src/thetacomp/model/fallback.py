@@ -1,24 +1,25 @@
-"""Changing the model while the machine runs: the fallback for lost sensors, and a switch without a bump.
+"""Changing the law while the machine runs: the fallback for lost sensors, and a change of laws without a bump.
 
-At the switch the difference of the two models is kept as an offset, so the output goes on from where it was. The
-offset decays slowly, or stays until a probe measures the error anew. Time is an argument.
+At the change the difference of the two laws is kept as an offset, so the output goes on from where it was. The offset
+decays slowly, or stays until a probe measures the error anew. Time is an argument.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from thetacomp.model.document import Accuracy, Component, HistoryAxis, ModelDocument
-from thetacomp.model.history_law import without_sensor
+import numpy as np
+
+from thetacomp.model.document import Accuracy, AxisLaw, Fallback, ModelDocument
 
 DECAY_S = 4 * 3600.0
 
 
 @dataclass(frozen=True)
 class Carried:
-    """What is added to the running model since the switch at `t_s`: one value each of the outputs that were carried.
+    """What is added to the running law since the change at `t_s`: one value each of the outputs that were carried.
 
     The outputs are those that must not jump: an offset in µm, or intercept (µm) and slope (µm/m) so that no position
     jumps. `decay_s` is the time constant of the decay, None to keep the values until the next probe.
@@ -30,19 +31,19 @@ class Carried:
     decay_s: float | None = DECAY_S
 
     def at(self, t_s: float) -> tuple[float, ...]:
-        """The carried values at `t_s`. Raises ValueError for a time before the switch."""
+        """The carried values at `t_s`. Raises ValueError for a time before the change."""
         if t_s < self.t_s:
-            raise ValueError(f"{t_s:g} s lies before the switch at {self.t_s:g} s")
+            raise ValueError(f"{t_s:g} s lies before the change of laws at {self.t_s:g} s")
         left = 1.0 if self.decay_s is None else math.exp((self.t_s - t_s) / self.decay_s)
         return tuple(left * value for value in self.values)
 
 
-def switch(t_s: float, output: Sequence[float], model: Sequence[float], decay_s: float | None = DECAY_S) -> Carried:
-    """Carry the output over to another model: `output` is what was put out last, `model` what the new model says.
+def carry_over(t_s: float, output: Sequence[float], law: Sequence[float], decay_s: float | None = DECAY_S) -> Carried:
+    """Carry the output over to another law: `output` is what was put out last, `law` what the new law says.
 
-    Serves every change of model alike: to a fallback, to another one, and back when the sensor returns.
+    Serves every change of laws alike: to a fallback, to another one, and back when the sensor returns.
     """
-    return Carried(t_s, tuple(old - new for old, new in zip(output, model, strict=True)), decay_s)
+    return Carried(t_s, tuple(old - new for old, new in zip(output, law, strict=True)), decay_s)
 
 
 @dataclass(frozen=True)
@@ -58,53 +59,73 @@ class Degraded:
 
 
 def degraded(model: ModelDocument, lost: Collection[str]) -> Degraded:
-    """The model without the lost sensors: every component that uses one comes from a fallback that uses none.
+    """The model without the lost sensors: every law that uses one gives way to a fallback that uses none.
 
-    An axis with heat history goes on with its own fallback where one sensor is lost, else with the law on key
-    temperatures. Where several fallbacks could serve, the one with the smallest held-out error is taken. A component
-    without any is left out and named in `ended`: its compensation ends, the others go on.
+    An axis with heat history goes on with its own fallback, else with the law on key temperatures. Where several
+    fallbacks could serve an axis, the one with the smallest held-out error is taken. An axis without any is left out
+    and its components named in `ended`: its compensation ends, the others go on. Angles without their sensors are
+    left out.
     """
-    history, replaced = _without(model, lost)
-    components: dict[str, Component] = {}
-    ended = []
-    for name, component in model.components.items():
-        if not set(lost) & set(component.inputs):
-            components[name] = component
-            continue
-        ready = [f for f in model.fallbacks if name in f.components and not set(lost) & set(f.components[name].inputs)]
-        if ready:
-            best = min(ready, key=lambda fallback: fallback.accuracy[name].without_rms_um)
-            components[name] = best.components[name]
-            if (component.axis or "") not in history:
-                replaced[name] = _against_history(model, name, best.accuracy[name])
-        elif (component.axis or "") in history:
-            components[name] = component
+    prediction, replaced = {}, dict[str, Accuracy | None]()
+    for name, law in model.prediction.items():
+        ready = _ready(law, lost)
+        if ready is law:
+            prediction[name] = law
+        elif isinstance(ready, Fallback):
+            prediction[name] = without_sensor(law, ready)
+            replaced |= ready.accuracy
         else:
-            ended.append(name)
-    left = {"components": components, "history": history}
+            replaced |= dict.fromkeys(law.components)
+    control, ended = {}, list[str]()
+    for name, law in model.control.items():
+        ready = _ready(law, lost)
+        if isinstance(ready, Fallback):
+            control[name] = without_sensor(law, ready)
+            if name not in prediction:
+                replaced |= {c: _against_history(model.prediction.get(name), c, a) for c, a in ready.accuracy.items()}
+        elif ready is law or name in prediction:
+            control[name] = law
+        else:
+            ended += law.components
+    rotations = {name: law for name, law in model.rotations.items() if _ready(law, lost) is law}
+    left = {"prediction": prediction, "control": control, "rotations": rotations}
     return Degraded(model.model_copy(update=left), replaced, tuple(ended))
 
 
-def _against_history(model: ModelDocument, name: str, accuracy: Accuracy) -> Accuracy:
+def without_sensor(law: AxisLaw, fallback: Fallback) -> AxisLaw:
+    """The law of an axis without one of its sensors, from its fallback."""
+    names = [name for block in law.layout.blocks.values() for name in block]
+    left = {name for block in fallback.layout.blocks.values() for name in block}
+    kept = [j for j, name in enumerate(names) if name in left]
+    border, validity = fallback.border or law.border, law.border.distance
+    if fallback.border is None and validity is not None:
+        absolute = [len(names) + j for j, name in enumerate(law.layout.sensors) if name != fallback.lost]
+        border = replace(border, distance=validity.of_inputs(kept + absolute))
+    changed = {
+        "layout": fallback.layout,
+        "reference": fallback.reference,
+        "leverage": fallback.leverage or law.leverage.of_inputs(kept),
+        "border": border,
+        "components": fallback.components,
+        "fallbacks": (),
+    }
+    return law.model_copy(update=changed)
+
+
+def _ready(law: AxisLaw, lost: Collection[str]) -> AxisLaw | Fallback | None:
+    """The law itself where it misses nothing, else its most accurate fallback that does, None where there is none."""
+    gone = set(lost)
+    if not gone & set(law.layout.sensors):
+        return law
+    able = [fallback for fallback in law.fallbacks if not gone & set(fallback.layout.sensors)]
+    return min(able, key=_squares_um2, default=None)
+
+
+def _squares_um2(fallback: Fallback) -> float:
+    return float(np.sum([accuracy.without_rms_um**2 for accuracy in fallback.accuracy.values()]))
+
+
+def _against_history(law: AxisLaw | None, name: str, accuracy: Accuracy) -> Accuracy:
     """The accuracy against what was in use: an axis that falls back from heat history loses more than a key sensor."""
-    axis = model.history.get(model.components[name].axis or "")
-    told = [f.accuracy[name] for f in axis.fallbacks if name in f.accuracy] if axis else []
+    told = [f.accuracy[name] for f in law.fallbacks if name in f.accuracy] if law else []
     return accuracy.model_copy(update={"full_rms_um": told[0].full_rms_um}) if told else accuracy
-
-
-def _without(model: ModelDocument, lost: Collection[str]) -> tuple[dict[str, HistoryAxis], dict[str, Accuracy | None]]:
-    """The axes that go on with heat history, and the components that changed."""
-    history: dict[str, HistoryAxis] = {}
-    replaced: dict[str, Accuracy | None] = {}
-    for key, axis in model.history.items():
-        gone = [sensor for sensor in axis.layout.sensors if sensor in lost]
-        if not gone:
-            history[key] = axis
-            continue
-        rest = without_sensor(axis, gone[0]) if len(gone) == 1 else None
-        if rest is not None:
-            history[key] = rest
-            replaced |= next(fallback for fallback in axis.fallbacks if fallback.lost == gone[0]).accuracy
-        else:
-            replaced |= dict.fromkeys(axis.components)
-    return history, replaced

@@ -11,12 +11,12 @@ solution is a recursion with one stored number a filter, which a PLC can run:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
@@ -153,15 +153,20 @@ def _lag(time: Floats, held: Floats, start: Floats) -> Floats:
 class HistoryLayout(Strict):
     """Which inputs a model with heat history has, in which order.
 
-    `sensors` name the temperatures. `time_constants_s` are the lags. `speed_powers` are the powers of the spindle
-    speed that drive lags (none: speed is not used). `base_degC` is the mean temperature from which the mean rise
-    counts in products; it is a constant of the model, not a datum.
+    `sensors` name the temperatures. `time_constants_s` are the lags; without any the temperatures are all there is.
+    `speed_powers` are the powers of the spindle speed that drive lags (none: speed is not used). `base_degC` is the
+    mean temperature from which the mean rise counts in products; it is a constant of the model, not a datum.
     """
 
-    sensors: tuple[str, ...] = Field(min_length=1)
+    sensors: tuple[str, ...]
     time_constants_s: tuple[float, ...] = (480.0, 900.0, 1800.0, 3600.0, 7200.0, 14400.0, 28800.0)
     speed_powers: tuple[int, ...] = (1, 2)
-    base_degC: float
+    base_degC: float = 0.0
+
+    @classmethod
+    def plain(cls, sensors: Sequence[str]) -> HistoryLayout:
+        """Temperatures as they are: no lags, no speed."""
+        return cls(sensors=tuple(sensors), time_constants_s=(), speed_powers=())
 
     @field_validator("time_constants_s")
     @classmethod
@@ -203,6 +208,8 @@ class HistoryLayout(Strict):
         """
         p = len(self.sensors)
         temperature = signals[:, :p]
+        if not self.time_constants_s:
+            return temperature
         rise_K = temperature.mean(axis=1, keepdims=True) - self.base_degC
         speed = lags[:, :, p:].transpose(0, 2, 1).reshape(len(signals), -1)
         differences = (temperature[:, None, :] - lags[:, :, :p]).reshape(len(signals), -1)
@@ -214,6 +221,8 @@ def history_inputs(
 ) -> Floats:
     """Inputs (n, inputs) of one unbroken recording, with filters that start at rest on its first row."""
     signals = layout.signals(temperature_degC, speed_rpm)
+    if not layout.time_constants_s:
+        return layout.inputs(signals, np.empty((len(signals), 0, signals.shape[1])))
     lags, _ = run_filters(t_s, signals, layout.time_constants_s)
     return layout.inputs(signals, lags)
 
@@ -223,7 +232,8 @@ def recorded_inputs(layout: HistoryLayout, temperatures: Temperatures, duty: Dut
 
     Raises AnalysisError for a sensor without a column, and where the layout has speeds and the duty has none.
     """
-    read = temperatures.bridged().select(layout.sensors)
+    # Filters need an unbroken signal; where plain temperatures are all there is, a gap stays a gap.
+    read = (temperatures.bridged() if layout.time_constants_s else temperatures).select(layout.sensors)
     if layout.speed_powers and (duty is None or SPEED not in duty.columns):
         raise AnalysisError(
             f"this model needs the spindle speed, and there is no {SPEED}."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from thetacomp.arrays import CARTESIAN, Bools, Floats
 from thetacomp.errors import AnalysisError
-from thetacomp.model.document import Accuracy, Component, HistoryAxis, ModelDocument
-from thetacomp.model.domain import Limit, history_limits, limits
+from thetacomp.model.border import Limit
+from thetacomp.model.document import Accuracy, AxisLaw, ModelDocument
 from thetacomp.model.fallback import degraded
-from thetacomp.model.filters import recorded_inputs
-from thetacomp.model.history_law import HistoryLaw, HistoryMoments, check_history
-from thetacomp.model.law import Law, laws
+from thetacomp.model.filters import HistoryLayout, recorded_inputs
+from thetacomp.model.law import Law, LawValues, joined
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.wanted_length import follows_workpiece, length_error_um
 from thetacomp.table_file import Cell, Number, fixed, write_table
+
+# Rows that are worked on at once: hundreds of inputs for each must stay in the processor's cache.
+BLOCK = 1024
 
 Reference = Literal["first_row", "model"] | float
 
@@ -101,17 +103,13 @@ def predict(
     the model needs it. `place` names row i of the positions in messages. Raises AnalysisError where the model cannot
     answer.
     """
-    model, replaced = _without_missing(model, temperatures, positions)
-    wanted = {name: c for name, c in model.components.items() if _asked_for(c, positions)}
-    _check_axes(model, positions, wanted, place)
-    _check_times(temperatures, positions, place)
-    table = _Table(positions)
-    static = {name: c for name, c in wanted.items() if (c.axis or "") not in model.history}
-    _predict_static(model.model_copy(update={"components": static}), temperatures, reference, table)
-    for name in dict.fromkeys(positions.axis):
-        if name in model.history:
-            check_history(name, model.history[name])
-            _predict_history(model.history[name], temperatures, duty, reference, table)
+    _check_axes(model, positions, place)
+    asked = tuple(dict.fromkeys(positions.axis))
+    model, replaced = answering(model, temperatures, asked)
+    check_times(temperatures, positions.t_s, place)
+    table, recording = _Table(positions), Recording(temperatures, duty, reference)
+    for name in asked:
+        table.fill(name, recording.values(model.in_use[name], positions.t_s[table.rows(name)]))
     if follows_workpiece(model):
         _follow_workpiece(model, temperatures, table)
     return table.prediction(replaced)
@@ -138,21 +136,67 @@ def _follow_workpiece(model: ModelDocument, temperatures: Temperatures, table: _
         table.limit(rows, [Limit("temperature", sensor, value, (low, high), inside)])
 
 
-def _without_missing(
-    model: ModelDocument, temperatures: Temperatures, positions: PositionTable
+def answering(
+    model: ModelDocument, temperatures: Temperatures, asked: Collection[str]
 ) -> tuple[ModelDocument, dict[str, Accuracy | None]]:
-    """The model for the sensors that the table has; as it is where no fallback covers what is missing."""
-    asked = set(positions.axis)
-    needed = {s for c in model.components.values() if (c.axis or "") in asked - set(model.history) for s in c.inputs}
-    needed |= {s for key, axis in model.history.items() if key in asked for s in axis.layout.sensors}
-    missing = needed - set(temperatures.sensor_ids)
+    """The model for the sensors that the table has; as it is where no fallback covers what the axes `asked` miss."""
+    missing = {s for name in asked for s in model.in_use[name].layout.sensors} - set(temperatures.sensor_ids)
     if not missing:
         return model, {}
     rest = degraded(model, missing)
-    if any((model.components[name].axis or "") in asked for name in rest.ended):
+    if not set(asked) <= set(rest.model.in_use):
         return model, {}
-    names = {name for name, c in model.components.items() if (c.axis or "") in asked}
+    names = {component for name in asked for component in rest.model.in_use[name].components}
     return rest.model, {name: accuracy for name, accuracy in rest.replaced.items() if name in names}
+
+
+def law_values(
+    model: ModelDocument,
+    axis: str,
+    temperatures: Temperatures,
+    t_s: Floats,
+    reference: Reference,
+    place: Callable[[int], str] = data_row,
+    duty: Duty | None = None,
+) -> LawValues:
+    """What the law that answers for an axis says at moments (n,); arguments and errors as in `predict`."""
+    check_times(temperatures, t_s, place)
+    rest, _ = answering(model, temperatures, (axis,))
+    return Recording(temperatures, duty, reference).values(rest.in_use[axis], t_s)
+
+
+class Recording:
+    """One recording as the laws see it: laws of the same layout share filters and samples.
+
+    `reference` is as in `predict`. Raises AnalysisError for a missing sensor, speed or reference.
+    """
+
+    def __init__(self, temperatures: Temperatures, duty: Duty | None, reference: Reference) -> None:
+        self.temperatures, self.duty, self.reference = temperatures, duty, reference
+        self._inputs: dict[HistoryLayout, Temperatures] = {}
+
+    def values(self, axis: AxisLaw, t_s: Floats) -> LawValues:
+        """The law of an axis at moments (n,) on the clock of the temperatures; filters start at rest on the first."""
+        inputs, sensors = self._inputs_of(axis.layout), len(axis.layout.sensors)
+        law = Law.of_model(axis)
+        if self.reference != "model":
+            at_s = _reference_s(self.temperatures, self.reference)
+            zero = inputs.unbridged_at(np.array([at_s]))[0]
+            _refuse_missing_reference([s for s, v in zip(axis.layout.sensors, zero, strict=False) if v != v], at_s)
+            law = Law(axis, zero, keeps_constant=False)
+        parts = []
+        for start in range(0, max(len(t_s), 1), BLOCK):
+            now = inputs.unbridged_at(t_s[start : start + BLOCK])
+            parts.append(law.at(now - law.zero, now[:, :sensors]))
+        return joined(parts)
+
+    def _inputs_of(self, layout: HistoryLayout) -> Temperatures:
+        if layout not in self._inputs:
+            duty = self.duty if layout.speed_powers else None
+            _check_duty_clock(self.temperatures, duty)
+            clock_s, inputs = recorded_inputs(layout, self.temperatures, duty)
+            self._inputs[layout] = Temperatures(clock_s, tuple(map(str, range(inputs.shape[1]))), inputs)
+        return self._inputs[layout]
 
 
 class _Table:
@@ -161,14 +205,23 @@ class _Table:
     def __init__(self, positions: PositionTable) -> None:
         n = len(positions.t_s)
         self.positions = positions
-        self.axis = np.array(positions.axis, dtype=str)
+        self._axis = np.array(positions.axis, dtype=str)
         self.error_um, self.half_um = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
         self.domain, self.missing = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
         self.seen: list[tuple[NDArray[np.intp], Limit]] = []
 
-    def rows(self, axis: str | None) -> NDArray[np.intp]:
-        """Rows of one axis, None for drift."""
-        return np.flatnonzero(self.axis == (axis or ""))
+    def rows(self, axis: str) -> NDArray[np.intp]:
+        """Rows of one axis, "" for drift."""
+        return np.flatnonzero(self._axis == axis)
+
+    def fill(self, axis: str, values: LawValues) -> None:
+        """Enter what the law of an axis says at its rows."""
+        rows = self.rows(axis)
+        position_mm = self.positions.position_mm[rows]
+        u_m = values.law.u_m(position_mm)
+        self.error_um[rows], self.half_um[rows] = values.errors_um(u_m), values.half_widths_um(u_m)
+        self.missing[rows] |= values.missing
+        self.limit(rows, values.limits(position_mm))
 
     def limit(self, rows: NDArray[np.intp], limits_: Sequence[Limit]) -> None:
         """Take the rows out of the domain that break one of these limits."""
@@ -190,62 +243,9 @@ class _Table:
             upper_um=upper_um,
             in_domain=self.domain,
             missing=self.missing,
-            breaches=_breaches(self.seen),
+            breaches=breaches_of(self.seen),
             replaced=replaced,
         )
-
-
-def _predict_static(model: ModelDocument, temperatures: Temperatures, reference: Reference, table: _Table) -> None:
-    inputs = tuple(dict.fromkeys(sensor for component in model.components.values() for sensor in component.inputs))
-    read = temperatures.select(inputs)
-    bound = laws(model, _reference_degC(read, reference))
-    degC = dict(zip(inputs, read.unbridged_at(table.positions.t_s).T, strict=True))
-    for law in bound.values():
-        rows = table.rows(law.component.axis)
-        position_mm = table.positions.position_mm[rows]
-        theta = np.array([degC[sensor][rows] for sensor in law.inputs]).reshape(len(law.inputs), len(rows)).T
-        k = CARTESIAN.index(law.component.direction)
-        table.error_um[rows, k], table.half_um[rows, k] = _row_values(law, theta, position_mm)
-        table.missing[rows] |= ~np.isfinite(theta).all(axis=1)
-        table.limit(rows, limits(law, model.training, theta, position_mm))
-
-
-def _predict_history(
-    axis: HistoryAxis, temperatures: Temperatures, duty: Duty | None, reference: Reference, table: _Table
-) -> None:
-    rows = table.rows(axis.axis)
-    t_s, position_mm = table.positions.t_s[rows], table.positions.position_mm[rows]
-    law = history_law(axis, temperatures, duty, reference, t_s)
-    lever_m = np.zeros(len(rows)) if axis.p0_mm is None else (position_mm - axis.p0_mm) / 1000.0
-    for name, component in axis.components.items():
-        k = CARTESIAN.index(component.direction)
-        table.error_um[rows, k] = law.error_um(name, lever_m)
-        table.half_um[rows, k] = law.half_width_um(name)
-    table.missing[rows] |= ~np.isfinite(law.moments.moved).all(axis=1)
-    table.limit(rows, history_limits(law, position_mm))
-
-
-def history_law(
-    axis: HistoryAxis, temperatures: Temperatures, duty: Duty | None, reference: Reference, t_s: Floats
-) -> HistoryLaw:
-    """The law of an axis on heat history at the moments `t_s`, which lie on the clock of the temperatures.
-
-    The filters start at rest on the first row. Raises AnalysisError for a missing sensor, speed or reference.
-    """
-    if not axis.layout.speed_powers:
-        duty = None
-    _check_duty_clock(temperatures, duty)
-    clock_s, inputs = recorded_inputs(axis.layout, temperatures, duty)
-    recorded = Temperatures(clock_s, tuple(str(j) for j in range(inputs.shape[1])), inputs)
-    if reference == "model":
-        zero = np.array(axis.reference.inputs)
-    else:
-        at_s = _reference_s(temperatures, reference)
-        zero = recorded.unbridged_at(np.array([at_s]))[0]
-        lacking = [s for s, value in zip(axis.layout.sensors, zero, strict=False) if not np.isfinite(value)]
-        _refuse_missing_reference(lacking, at_s)
-    values = recorded.unbridged_at(t_s)
-    return HistoryLaw(axis, HistoryMoments(values - zero, values[:, : len(axis.layout.sensors)]))
 
 
 def write_prediction(prediction: Prediction, path: Path) -> None:
@@ -266,61 +266,53 @@ def write_prediction(prediction: Prediction, path: Path) -> None:
     write_table(path, [*header, "in_domain"], rows)
 
 
-def _breaches(seen: Sequence[tuple[NDArray[np.intp], Limit]]) -> tuple[Breach, ...]:
-    """One entry a broken limit: errors of one axis share their inputs, and a row counts once."""
+def breaches_of(seen: Sequence[tuple[NDArray[np.intp], Limit]]) -> tuple[Breach, ...]:
+    """One entry a broken limit, from limits at rows: axes may share a sensor, and a row counts once."""
     grouped: dict[tuple[str, str, tuple[float, float]], list[tuple[NDArray[np.intp], Limit]]] = {}
     for rows, limit in seen:
         grouped.setdefault((limit.kind, limit.name, limit.trained), []).append((rows, limit))
     out = []
     for (kind, name, trained), parts in grouped.items():
-        outside: set[int] = set()
-        for rows, limit in parts:
-            outside |= set(rows[~limit.inside & np.isfinite(limit.value)].tolist())
-        if outside:
-            values = np.concatenate([limit.value for _, limit in parts])
-            out.append(Breach(kind, name, len(outside), (float(np.nanmin(values)), float(np.nanmax(values))), trained))
+        outside = [rows[~one.inside & np.isfinite(one.value)] for rows, one in parts]
+        count = len(outside[0]) if len(parts) == 1 else len(np.unique(np.concatenate(outside)))
+        if count:
+            values = np.concatenate([one.value for _, one in parts])
+            out.append(Breach(kind, name, count, (float(np.nanmin(values)), float(np.nanmax(values))), trained))
     return tuple(out)
 
 
-def _row_values(law: Law, theta_degC: Floats, position_mm: Floats) -> tuple[Floats, Floats]:
-    rises_K = law.rises_K(theta_degC)
-    half_um = law.half_width_um(rises_K, position_mm)
-    return law.error_um(rises_K, position_mm), np.where(np.isfinite(half_um), half_um, np.nan)
+def _check_axes(model: ModelDocument, positions: PositionTable, place: Callable[[int], str]) -> None:
+    known = model.in_use
+    axis = np.array(positions.axis, dtype=str)
+    unknown = ~np.isin(axis, list(known)) if known else np.ones(len(axis), dtype=np.bool_)
+    bad = np.flatnonzero(unknown | ((axis != "") & ~np.isfinite(positions.position_mm)))
+    if not len(bad):
+        return
+    i = int(bad[0])
+    name = str(axis[i])
+    if not unknown[i]:
+        raise AnalysisError(f"{place(i)}: axis {name} without a position_mm. Fix: fill in the position.")
+    asked = f"axis {name!r}" if name else "drift at a fixed position (axis empty)"
+    drift = "drift too (axis empty)" if "" in known else "no drift"
+    raise AnalysisError(
+        f"{place(i)}: the model has no component for {asked}."
+        f" It knows the axes {', '.join(sorted(filter(None, known))) or 'none'}, and {drift}. Fix: name one of these."
+    )
 
 
-def _asked_for(component: Component, positions: PositionTable) -> bool:
-    return (component.axis or "") in set(positions.axis)
-
-
-def _check_axes(
-    model: ModelDocument, positions: PositionTable, wanted: dict[str, Component], place: Callable[[int], str]
-) -> None:
-    known = sorted({component.axis for component in model.components.values() if component.axis})
-    answered = {component.axis or "" for component in wanted.values()}
-    for i, name in enumerate(positions.axis):
-        if name not in answered:
-            asked = f"axis {name!r}" if name else "drift at a fixed position (axis empty)"
-            drift = "drift too (axis empty)" if any(not c.axis for c in model.components.values()) else "no drift"
-            raise AnalysisError(
-                f"{place(i)}: the model has no component for {asked}."
-                f" It knows the axes {', '.join(known) or 'none'}, and {drift}. Fix: name one of these."
-            )
-        if name and not np.isfinite(positions.position_mm[i]):
-            raise AnalysisError(f"{place(i)}: axis {name} without a position_mm. Fix: fill in the position.")
-
-
-def _check_times(temperatures: Temperatures, positions: PositionTable, place: Callable[[int], str]) -> None:
+def check_times(temperatures: Temperatures, t_s: Floats, place: Callable[[int], str]) -> None:
+    """Raise AnalysisError where moments (n,) lie before the temperatures, or all of them after."""
     if not len(temperatures.t_s):
         raise AnalysisError("temperatures: the table has no rows. Fix: give the samples of the time wanted.")
     first_s, last_s = temperatures.t_s[0], temperatures.t_s[-1]
-    early = np.flatnonzero(positions.t_s < first_s)
+    early = np.flatnonzero(t_s < first_s)
     if len(early):
         raise AnalysisError(
-            f"{place(int(early[0]))}: t_s = {_plain(positions.t_s[early[0]])} lies before the first"
+            f"{place(int(early[0]))}: t_s = {_plain(t_s[early[0]])} lies before the first"
             f" temperature sample at t_s = {_plain(first_s)} ({len(early)} such rows)."
             " Fix: bring both tables to the same clock, or start the temperatures earlier."
         )
-    if len(positions.t_s) and (positions.t_s > last_s + temperatures.interval_s).all():
+    if len(t_s) and (t_s > last_s + temperatures.interval_s).all():
         raise AnalysisError(
             f"positions: all rows lie after the last temperature sample at t_s = {_plain(last_s)}."
             " Fix: bring both tables to the same clock, or let the temperatures go on longer."
@@ -337,16 +329,6 @@ def _check_duty_clock(temperatures: Temperatures, duty: Duty | None) -> None:
             f" {_plain(temperatures.t_s[0])} to {_plain(temperatures.t_s[-1])}: they never meet."
             " Fix: bring both tables to the same clock."
         )
-
-
-def _reference_degC(inputs: Temperatures, reference: Reference) -> dict[str, float] | None:
-    """Temperatures of the inputs at the moment of zero; None for the reference stored in the model."""
-    if reference == "model":
-        return None
-    at_s = _reference_s(inputs, reference)
-    value = dict(zip(inputs.sensor_ids, inputs.unbridged_at(np.array([at_s]))[0].tolist(), strict=True))
-    _refuse_missing_reference([sensor for sensor, degC in value.items() if not np.isfinite(degC)], at_s)
-    return value
 
 
 def _reference_s(temperatures: Temperatures, reference: Reference) -> float:

@@ -107,6 +107,27 @@ def volume_error(
     return error_um, np.sqrt(square)
 
 
+def volume_slope(
+    chain: Sequence[ChainAxis], parts: ThermalParts, positions_mm: Mapping[str, Floats], moving: str
+) -> Floats:
+    """How the error changes with the position of one axis, (n, 3) in µm/m, with the tool of the measurements.
+
+    Its own slope and bend, its own twist over the arms behind it, and the twists before it, which turn its travel.
+    """
+    arms_m = arms_behind_m(chain, positions_mm)
+    number = [axis.name for axis in chain].index(moving)
+    axis = chain[number]
+    here_m = axis.arm_m(positions_mm[moving])[:, None]
+    slope = parts.slopes[moving].value + 2.0 * here_m * parts.bends_um_per_m2.get(moving, np.zeros_like(here_m))
+    if moving in parts.angle_slopes:
+        slope = slope + np.cross(parts.angle_slopes[moving].value, arms_m[moving])
+    for before in chain[:number]:
+        if before.name in parts.angle_slopes:
+            turn_urad = parts.angle_slopes[before.name].value * before.arm_m(positions_mm[before.name])[:, None]
+            slope = slope + np.cross(turn_urad, axis.direction)
+    return np.asarray(slope)
+
+
 def _turned_square(half_urad: Floats, arm_m: Floats) -> Floats:
     """Squared half widths of r × arm, with independent rotations about X, Y, Z."""
     r, d = half_urad**2, arm_m**2

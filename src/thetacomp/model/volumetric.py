@@ -1,7 +1,4 @@
-"""Volumetric prediction: the thermal error at any position of all axes, from a stored model in the joint form.
-
-All values come from `prediction.predict`, whatever family a component is of; `volume` puts them together.
-"""
+"""Volumetric prediction: the thermal error at any position of all axes, from a stored model in the joint form."""
 
 from __future__ import annotations
 
@@ -13,16 +10,23 @@ import numpy as np
 
 from thetacomp.arrays import CARTESIAN, Bools, Floats
 from thetacomp.errors import AnalysisError
-from thetacomp.machine import WantedLength
 from thetacomp.model.axis_chain import ChainAxis, chain_of
-from thetacomp.model.document import Accuracy, ModelDocument
-from thetacomp.model.prediction import Breach, Prediction, Reference, data_row, predict, workpiece_degC
+from thetacomp.model.document import Accuracy, AxisLaw, ModelDocument, components_of
+from thetacomp.model.law import LawValues
+from thetacomp.model.prediction import (
+    Breach,
+    Recording,
+    Reference,
+    answering,
+    breaches_of,
+    check_times,
+    data_row,
+    workpiece_degC,
+)
 from thetacomp.model.temperatures import Duty, Temperatures
-from thetacomp.model.volume import Part, ThermalParts, spindle_lean, volume_error
+from thetacomp.model.volume import Part, ThermalParts, spindle_lean, volume_error, volume_slope
 from thetacomp.model.wanted_length import follows_workpiece, length_error_um
 from thetacomp.table_file import Cell, Number, fixed, write_table
-
-ANGLES = ("A", "B", "C")
 
 
 @dataclass(frozen=True)
@@ -48,15 +52,6 @@ class VolumePrediction:
     replaced: Mapping[str, Accuracy | None]
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Rows as `predict` asks for them: one axis, or drift."""
-
-    t_s: Floats
-    axis: tuple[str, ...]
-    position_mm: Floats
-
-
 def predict_volume(
     model: ModelDocument,
     temperatures: Temperatures,
@@ -72,41 +67,21 @@ def predict_volume(
     `tool_length_mm` (n,) is by default that of the model's measurements. `reference` and `duty` as in `predict`. Raises
     AnalysisError for a model in separate form, for missing positions, and for a tool length without known effect.
     """
-    chain = _chain(model, positions_mm, place)
     length_mm = np.full(len(t_s), model.tool_length_mm) if tool_length_mm is None else tool_length_mm
     longer_mm = length_mm - model.tool_length_mm
-    _check_length(model, chain, longer_mm, place)
-
-    # The workpiece is followed once, at the end: the slopes are asked for a metre from P0.
-    plain = model.model_copy(update={"length": WantedLength()})
-
-    def ask(document: ModelDocument, axis: str, position_mm: Floats) -> Prediction:
-        rows = _Rows(t_s, (axis,) * len(t_s), position_mm)
-        return predict(document, temperatures, rows, reference, place, duty)
-
-    seen = [ask(plain, "", np.full(len(t_s), np.nan)), *(ask(plain, a.name, positions_mm[a.name]) for a in chain)]
-    metre = {a.name: np.full(len(t_s), a.p0_mm + 1000.0) for a in chain}
-    slopes, bends = {}, {}
-    for a in chain:
-        # A metre to either side of P0: the odd part is the slope, the even part the bend.
-        ahead, behind = (ask(plain, a.name, np.full(len(t_s), a.p0_mm + d_mm)) for d_mm in (1000.0, -1000.0))
-        slopes[a.name] = Part(0.5 * (ahead.error_um - behind.error_um), _part(ahead).half_width)
-        bends[a.name] = 0.5 * (ahead.error_um + behind.error_um)
-    turning, angle, angle_slopes = _angle_document(plain), None, {}
-    if turning.components:
-        angle = _part(ask(turning, "", np.full(len(t_s), np.nan)))
-        angle_slopes = {a.name: _part(ask(turning, a.name, metre[a.name])) for a in chain}
-    there_um = {a.name: _part(one).half_width for a, one in zip(chain, seen[1:], strict=True)}
-    reading_um = {a.name: _reading_um(plain, a.name) for a in chain}
-    parts = ThermalParts(_part(seen[0]), slopes, angle, angle_slopes, there_um, reading_um, bends)
-    error_um, half_um = volume_error(chain, parts, positions_mm, longer_mm)
-    missing = np.any([one.missing for one in seen], axis=0)
+    volume = _Volume(model, temperatures, t_s, positions_mm, reference, place, duty)
+    chain, seen = volume.chain, volume.seen
+    _check_length(model, volume, longer_mm, place)
+    error_um, half_um = volume_error(chain, volume.parts(), positions_mm, longer_mm)
+    missing = np.any([one.missing for one in seen.values()], axis=0)
     if follows_workpiece(model):
         degC = workpiece_degC(model, temperatures, t_s)
         missing |= ~np.isfinite(degC)
         for axis in (axis for axis in model.axes if axis.name in positions_mm):
             error_um[:, CARTESIAN.index(axis.cartesian)] += length_error_um(model, axis, degC, positions_mm[axis.name])
     half_um[~np.isfinite(error_um)] = np.nan
+    limits = [limit for name, one in seen.items() for limit in one.limits(positions_mm.get(name, t_s))]
+    lost_angles = set(components_of(model.rotations)) - {name for one in volume.turned.values() for name in one.terms}
     return VolumePrediction(
         t_s=t_s,
         positions_mm={a.name: positions_mm[a.name] for a in chain},
@@ -114,13 +89,76 @@ def predict_volume(
         error_um=error_um,
         lower_um=error_um - half_um,
         upper_um=error_um + half_um,
-        in_domain=np.all([one.in_domain for one in seen], axis=0),
+        in_domain=np.all([np.ones(len(t_s), dtype=np.bool_), *(limit.inside for limit in limits)], axis=0),
         missing=missing,
-        breaches=_merged([breach for one in seen for breach in one.breaches]),
-        absent=tuple(f"E{d}{a.name}" for a in chain for d in CARTESIAN if f"E{d}{a.name}" not in model.components),
-        lean=_lean_text(model, chain) if np.any(longer_mm) else "",
-        replaced={name: accuracy for one in seen for name, accuracy in one.replaced.items()},
+        breaches=breaches_of([(np.arange(len(t_s)), limit) for limit in limits]),
+        absent=(*_absent(chain, seen), *sorted(lost_angles)),
+        lean=_lean_text(volume) if np.any(longer_mm) else "",
+        replaced=volume.replaced,
     )
+
+
+def volume_along(
+    model: ModelDocument,
+    temperatures: Temperatures,
+    t_s: Floats,
+    positions_mm: Mapping[str, Floats],
+    axis: str,
+    reference: Reference = "first_row",
+    place: Callable[[int], str] = data_row,
+    duty: Duty | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """The error of the tool along one axis about where it stands: its value, slope and bend, each (n, 3).
+
+    In µm, µm/m and µm/m²; arguments and errors as in `predict_volume`, with the tool of the measurements.
+    """
+    volume = _Volume(model, temperatures, t_s, positions_mm, reference, place, duty)
+    parts = volume.parts()
+    error_um, _ = volume_error(volume.chain, parts, positions_mm, np.zeros(len(t_s)))
+    return error_um, volume_slope(volume.chain, parts, positions_mm, axis), parts.bends_um_per_m2[axis]
+
+
+class _Volume:
+    """The laws of drift, axes and angles at n moments; angles whose sensors the table lacks are left out."""
+
+    def __init__(
+        self,
+        model: ModelDocument,
+        temperatures: Temperatures,
+        t_s: Floats,
+        positions_mm: Mapping[str, Floats],
+        reference: Reference,
+        place: Callable[[int], str],
+        duty: Duty | None,
+    ) -> None:
+        self.chain = _chain(model, positions_mm, place)
+        self.positions_mm = positions_mm
+        check_times(temperatures, t_s, place)
+        recording, self.replaced = Recording(temperatures, duty, reference), dict[str, Accuracy | None]()
+        self.seen: dict[str, LawValues] = {}
+        for name in ("", *(axis.name for axis in self.chain)):
+            rest, changed = answering(model, temperatures, (name,))
+            self.seen[name] = recording.values(rest.in_use[name], t_s)
+            self.replaced |= changed
+        known = set(temperatures.sensor_ids)
+        self.turned = {
+            name: recording.values(law, t_s)
+            for name, law in model.rotations.items()
+            if set(law.layout.sensors) <= known
+        }
+
+    def parts(self) -> ThermalParts:
+        """What the laws say, as the terms of the joint form."""
+        drift, own = self.seen[""], {axis.name: self.seen[axis.name] for axis in self.chain}
+        return ThermalParts(
+            drift=_at(drift, 0.0),
+            slopes={name: Part(one.term(1), one.half_widths_um(1.0)) for name, one in own.items()},
+            angle=_at(self.turned[""], 0.0) if "" in self.turned else None,
+            angle_slopes={name: _at(one, 1.0) for name, one in self.turned.items() if name},
+            there_um={name: one.half_widths_um(one.law.u_m(self.positions_mm[name])) for name, one in own.items()},
+            reading_um={name: _reading_um(one.law.axis) for name, one in own.items()},
+            bends_um_per_m2={name: one.term(2) for name, one in own.items()},
+        )
 
 
 def write_volume(prediction: VolumePrediction, path: Path) -> None:
@@ -151,7 +189,12 @@ def _chain(
             " them would count the drift once for each axis. Fix: measure with the positions of the other axes"
             " (at_<axis>_mm columns in sweeps.csv) and run `thetacomp analyze` again; or give t_s, axis, position_mm."
         )
-    measured = {c.axis: c.p0_mm for c in model.components.values() if c.axis is not None}
+    if "" not in model.in_use:
+        raise AnalysisError(
+            "the model has no drift (DX, DY, DZ), without which no volume can be told."
+            " Fix: measure at a fixed position too, and run `thetacomp analyze` again."
+        )
+    measured = {name: law.p0_mm for name, law in model.in_use.items() if name}
     axes = [axis for axis in model.axes if axis.name in measured]
     names = [axis.name for axis in axes]
     lacking, spare = [n for n in names if n not in positions_mm], [n for n in positions_mm if n not in names]
@@ -169,56 +212,39 @@ def _chain(
     return tuple(replace(link, p0_mm=p0_mm[link.name]) for link in chain_of(axes))
 
 
-def _check_length(
-    model: ModelDocument, chain: tuple[ChainAxis, ...], longer_mm: Floats, place: Callable[[int], str]
-) -> None:
+def _check_length(model: ModelDocument, volume: _Volume, longer_mm: Floats, place: Callable[[int], str]) -> None:
     empty = np.flatnonzero(~np.isfinite(longer_mm))
     if len(empty):
         raise AnalysisError(f"{place(int(empty[0]))}: tool_length_mm is empty. Fix: fill it in, or drop the column.")
-    if np.any(longer_mm) and not model.rotations and spindle_lean(chain) is None:
+    if np.any(longer_mm) and "" not in volume.turned and spindle_lean(volume.chain) is None:
         raise AnalysisError(
             f"tool_length_mm differs from {model.tool_length_mm:g} mm, the length in the measurements, but the model"
-            f" has no angles, and its last axis {chain[-1].name} does not run along the spindle (Z): what a longer tool"
-            " does is not known. Fix: measure rA_urad, rB_urad, rC_urad, or leave tool_length_mm out."
+            f" has no angles, and its last axis {volume.chain[-1].name} does not run along the spindle (Z): what a"
+            " longer tool does is not known. Fix: measure rA_urad, rB_urad, rC_urad, or leave tool_length_mm out."
         )
 
 
-def _lean_text(model: ModelDocument, chain: tuple[ChainAxis, ...]) -> str:
-    if model.rotations:
+def _lean_text(volume: _Volume) -> str:
+    if "" in volume.turned:
         return "the measured angles act on the change of the tool length"
-    return f"a longer tool is taken to lean with the guide of {chain[-1].name} (no angles were measured)"
+    return f"a longer tool is taken to lean with the guide of {volume.chain[-1].name} (no angles were measured)"
 
 
-def _part(prediction: Prediction) -> Part:
-    return Part(prediction.error_um, 0.5 * (prediction.upper_um - prediction.lower_um))
+def _at(values: LawValues, u_m: float) -> Part:
+    return Part(values.errors_um(u_m), values.half_widths_um(u_m))
 
 
-def _reading_um(model: ModelDocument, axis: str) -> Floats:
-    """Half width (3,) of the scatter of one reading that the band of an axis holds; zero for a law on key points."""
+def _absent(chain: tuple[ChainAxis, ...], seen: Mapping[str, LawValues]) -> tuple[str, ...]:
+    names = [(axis.name, f"E{d}{axis.name}") for axis in chain for d in CARTESIAN]
+    return tuple(component for axis, component in names if component not in seen[axis].terms)
+
+
+def _reading_um(law: AxisLaw) -> Floats:
+    """Half width (3,) of the scatter of one reading that the bands of an axis hold."""
     out = np.zeros(3)
-    for component in model.history[axis].components.values() if axis in model.history else ():
-        out[CARTESIAN.index(component.direction)] = component.band.quantile * component.noise_sd_um
+    for component in law.components.values():
+        out[CARTESIAN.index(component.direction)] = (component.band.quantile or 0.0) * component.band.noise_sd_um
     return out
-
-
-def _angle_document(model: ModelDocument) -> ModelDocument:
-    """The angles as a model of their own, named by the axis they turn about, so that one law serves both."""
-    named = {
-        f"{name[0]}{CARTESIAN[ANGLES.index(name[1])]}{name[2:]}": component
-        for name, component in model.rotations.items()
-    }
-    return model.model_copy(update={"components": named, "rotations": {}, "history": {}})
-
-
-def _merged(breaches: list[Breach]) -> tuple[Breach, ...]:
-    """One entry a limit: several axes may use the same sensor."""
-    out: dict[tuple[str, str, tuple[float, float]], Breach] = {}
-    for breach in breaches:
-        key = (breach.kind, breach.name, breach.trained)
-        known = out.get(key)
-        if known is None or breach.rows > known.rows:
-            out[key] = breach
-    return tuple(out.values())
 
 
 def _plain(value: float) -> Number | str:

@@ -26,8 +26,8 @@ def zero_mm(model: ModelDocument, axis: Axis) -> float:
     """Where the workpiece's length counts from on an axis: as stated, else P0 of the axis' error, else mid-travel."""
     if axis.name in model.length.zero_mm:
         return model.length.zero_mm[axis.name]
-    stored = [c.p0_mm for c in model.components.values() if c.axis == axis.name and c.p0_mm is not None]
-    return stored[0] if stored else float(np.mean(axis.travel_mm))
+    law = model.control.get(axis.name)
+    return float(np.mean(axis.travel_mm)) if law is None or law.p0_mm is None else law.p0_mm
 
 
 def expansion_um_per_m_per_K(length: WantedLength) -> float:

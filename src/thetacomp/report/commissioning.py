@@ -181,23 +181,24 @@ def _errors(plan: Plan) -> Rows:
     return [
         [
             name,
-            ", ".join(c.inputs) or "none: not compensated",
-            f"{c.p_min_mm:g} … {c.p_max_mm:g}" if c.p_min_mm is not None and c.p_max_mm is not None else "fixed",
+            ", ".join(law.layout.sensors) if c.predicted else "none: not compensated",
+            "fixed" if law.p_min_mm is None else f"{law.p_min_mm:g} … {law.p_max_mm:g}",
             str(c.states),
             *(_one_decimal(c.held_out_um) if c.held_out_um else ("–", "–", "–")),
             *_one_decimal(c.residual_um[:2]),
         ]
-        for name, c in plan.model.components.items()
+        for law in plan.model.control.values()
+        for name, c in law.components.items()
     ]
 
 
 def _sensors(plan: Plan) -> Rows:
-    model, rises = plan.model, plan.model.training.range_rise_K
+    model, trained = plan.model, plan.model.trained
     return [
         [
             s,
-            *_one_decimal(model.training.range_degC.get(s, model.length.workpiece_degC)),
-            *(_one_decimal(rises[s]) if s in rises else ("–", "–")),
+            *_one_decimal(trained.temperature_degC.get(s, model.length.workpiece_degC)),
+            *(_one_decimal(trained.rise_K[s]) if s in trained.rise_K else ("–", "–")),
         ]
         for s in plan.grid_degC
     ]

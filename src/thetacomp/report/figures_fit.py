@@ -12,9 +12,10 @@ from matplotlib.lines import Line2D
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.arrays import Floats
-from thetacomp.model.document import Component, LinearTerm
+from thetacomp.model.check import TERMS
+from thetacomp.model.law import ComponentLaw, component_laws
 from thetacomp.report import style
-from thetacomp.report.prediction import drawn_law, explains, half_band, predict_states, reference_degC, term_at
+from thetacomp.report.prediction import drawn_law, explains, half_band, predict_states, reference_degC
 from thetacomp.report.style import CAMPAIGN_MARKS, HOUR_S, TIME_COLORS
 from thetacomp.separation.component import ComponentSeparation
 
@@ -51,28 +52,28 @@ def fit_over_temperature(analysis: Analysis) -> list[style.NamedFigure]:
     it has none.
     """
     figures = []
-    for axis in dict.fromkeys(c.axis for c in analysis.model.components.values()):
-        names = [n for n, c in analysis.model.components.items() if c.axis == axis and _parts(analysis, n)]
+    for axis, law in analysis.model.control.items():
+        names = [name for name in law.components if _parts(analysis, name)]
         if names:
             figures.append(_figure(analysis, axis, names))
     return figures
 
 
-def _figure(analysis: Analysis, axis: str | None, names: Sequence[str]) -> style.NamedFigure:
-    components = [analysis.model.components[name] for name in names]
+def _figure(analysis: Analysis, axis: str, names: Sequence[str]) -> style.NamedFigure:
+    laws = component_laws(analysis.model.control)
+    components = [laws[name] for name in names]
     # In the joint form the intercept of an axis is zero: the drift has a figure of its own.
-    shown = ("slope",) if axis is not None and analysis.model.form == "joint" else ("intercept", "slope")
-    columns = len(shown) if axis is not None else 1
+    shown = ("slope",) if axis and analysis.model.form == "joint" else ("intercept", "slope")
+    columns = len(shown) if axis else 1
     figure = style.new_figure(0.8 + 2.15 * len(names))
     counts = {min(len(c.inputs), 2) for c in components}
-    same_x = counts <= {0, 1} and len({c.inputs for c in components}) == 1 and axis is not None
+    same_x = counts <= {0, 1} and len({c.inputs for c in components}) == 1 and bool(axis)
     grid = figure.subplots(len(names), columns, squeeze=False, sharex="col" if same_x else False)
     norm = style.time_norm([s.t_s for name in names for s in _parts(analysis, name)])
-    for row, name, component in zip(grid, names, components, strict=True):
+    for row, component in zip(grid, components, strict=True):
         for axes, what in zip(row, shown, strict=False):
-            term = component.intercept if what == "intercept" else component.slope
-            if term is not None:
-                _draw_fit(axes, analysis, name, term, what, norm)
+            if TERMS.index(what) < len(component.component.terms):
+                _draw_fit(axes, analysis, component, what, norm)
     if same_x:
         for axes in grid[:-1].ravel():
             axes.set_xlabel("")
@@ -80,9 +81,9 @@ def _figure(analysis: Analysis, axis: str | None, names: Sequence[str]) -> style
     handles = _legend([s for name in names for s in _parts(analysis, name)], counts)
     if handles:
         figure.legend(handles=handles, loc="outside upper right", ncols=5)
-    kinds = " and ".join(reversed(shown)).capitalize() if axis is not None else "Drift"
+    kinds = " and ".join(reversed(shown)).capitalize() if axis else "Drift"
     against = "the prediction" if 2 in counts else "temperature" if 1 in counts else "time"
-    title = f"{kinds} against {against}" + (f", axis {axis}" if axis is not None else "")
+    title = f"{kinds} against {against}" + (f", axis {axis}" if axis else "")
     caption = f"Dots: separated states with their 95 % interval, coloured by time. Model: {drawn_law(analysis)}. "
     caption += " ".join(_CAPTIONS[count] for count in sorted(counts, reverse=True))
     if counts != {0}:
@@ -111,11 +112,10 @@ def _legend(parts: Sequence[ComponentSeparation], counts: set[int]) -> list[Line
     return handles
 
 
-def _draw_fit(axes: Axes, analysis: Analysis, name: str, term: LinearTerm, what: str, norm: Normalize) -> None:
-    component = analysis.model.components[name]
-    parts = _parts(analysis, name)
+def _draw_fit(axes: Axes, analysis: Analysis, component: ComponentLaw, what: str, norm: Normalize) -> None:
+    parts = _parts(analysis, component.name)
     shift_degC = _shift_degC(analysis, parts, component) if len(component.inputs) == 1 else 0.0
-    drawn = [_states(analysis, part, component, term, what, shift_degC) for part in parts]
+    drawn = [_states(analysis, part, component, what, shift_degC) for part in parts]
     _draw_states(axes, drawn, bool(component.inputs), norm)
     if not component.inputs:
         axes.axhline(0.0, color=style.FAINT, lw=0.8, zorder=1)
@@ -123,26 +123,25 @@ def _draw_fit(axes: Axes, analysis: Analysis, name: str, term: LinearTerm, what:
         said = NOT_PREDICTED.replace("; ", ";\n")
         axes.text(0.5, 0.965, said, transform=axes.transAxes, ha="center", va="top", fontsize=8.5)
     elif len(component.inputs) == 1:
-        _draw_band(axes, term, component.dof, drawn, shift_degC)
+        _draw_band(axes, component, what, drawn, shift_degC)
     else:
         _draw_diagonal(axes, drawn)
-    rising = len(component.inputs) != 1 or term.coefficients_per_K[0] > 0.0
+    rising = len(component.inputs) != 1 or component.component.terms[TERMS.index(what)].coefficients[0] > 0.0
     _label_states(axes, drawn, bool(component.inputs), rising)
-    _name_axes(axes, name, component, term, what, shift_degC)
+    _name_axes(axes, component, what, shift_degC)
 
 
 def _states(
     analysis: Analysis,
     part: ComponentSeparation,
-    component: Component,
-    term: LinearTerm,
+    component: ComponentLaw,
     what: str,
     shift_degC: float,
 ) -> _States:
     predicted = predict_states(analysis, part)
     assert predicted is not None
     value, se = _measured(part, component, what)
-    fitted, half = term_at(term, predicted.rise_K), half_band(term, component.dof, predicted.rise_K)
+    fitted, half = _term_at(component, what, predicted.rise_K)
     if not component.inputs:
         x = part.t_s / HOUR_S
     elif len(component.inputs) == 1:
@@ -172,30 +171,36 @@ def _draw_states(axes: Axes, drawn: Sequence[_States], modelled: bool, norm: Nor
             axes.scatter(states.x[out], states.value[out], s=75, fc="none", ec=style.OUTLYING, lw=1.2, zorder=4)
 
 
-def _shift_degC(analysis: Analysis, parts: Sequence[ComponentSeparation], component: Component) -> float:
+def _shift_degC(analysis: Analysis, parts: Sequence[ComponentSeparation], component: ComponentLaw) -> float:
     """Reference temperature to add where all parts share one, so that the axis shows °C; else 0: the axis shows K."""
     starts = [reference_degC(analysis, part, component) for part in parts]
     values = [float(np.ravel(start)[0]) for start in starts if start is not None and start.size]
     return values[0] if values and max(values) - min(values) < 1e-6 else 0.0
 
 
-def _measured(part: ComponentSeparation, component: Component, what: str) -> tuple[Floats, Floats]:
+def _measured(part: ComponentSeparation, component: ComponentLaw, what: str) -> tuple[Floats, Floats]:
     """Separated values and standard errors, the intercept at the model's P0."""
     if what == "slope":
         return part.slope_um_per_m, part.slope_se_um_per_m
-    move_m = 0.0 if component.p0_mm is None else (component.p0_mm - part.p0_mm) / 1000.0
+    move_m = (component.travel_mm[0] - part.p0_mm) / 1000.0 if component.axis else 0.0
     # The standard error belongs to the separated intercept, not to that of another P0 or of a parabola's best line.
     own = move_m == 0.0 and part.bend_um_per_m2 is None
     se = part.intercept_se_um if own else np.full(len(part.t_s), np.nan)
     return part.line_intercept_um + part.slope_um_per_m * move_m, se
 
 
-def _draw_band(axes: Axes, term: LinearTerm, dof: int, drawn: Sequence[_States], shift_degC: float) -> None:
+def _term_at(component: ComponentLaw, what: str, rise_K: Floats) -> tuple[Floats, Floats]:
+    """Value and half of the 95 % band of a term for rises (n, inputs), in the term's unit, both (n,)."""
+    power = TERMS.index(what)
+    return component.terms(rise_K)[power], half_band(component, power, rise_K)
+
+
+def _draw_band(axes: Axes, component: ComponentLaw, what: str, drawn: Sequence[_States], shift_degC: float) -> None:
     rise_K = np.concatenate([states.x for states in drawn]) - shift_degC
     low, high = float(np.nanmin(rise_K)), float(np.nanmax(rise_K))
     pad = 0.04 * (high - low) if high > low else 1.0
     grid = np.linspace(low - pad, high + pad, 60)[:, None]
-    value, half = term_at(term, grid), half_band(term, dof, grid)
+    value, half = _term_at(component, what, grid)
     x = grid[:, 0] + shift_degC
     axes.plot(x, value, color=style.BLUE, zorder=2)
     axes.fill_between(x, value - half, value + half, color=style.BLUE, alpha=0.12, lw=0)
@@ -251,18 +256,23 @@ def _label_states(axes: Axes, drawn: Sequence[_States], modelled: bool, rising: 
         )  # fmt: skip
 
 
-def _name_axes(axes: Axes, name: str, component: Component, term: LinearTerm, what: str, shift_degC: float) -> None:
-    unit = style.unit_of(component.direction)
+def _name_axes(axes: Axes, component: ComponentLaw, what: str, shift_degC: float) -> None:
+    name, power = component.name, TERMS.index(what)
+    unit = style.unit_of(component.component.direction)
     if what == "slope":
         unit += "/m"
-    noun = what if component.axis is not None else "displacement"
+    noun = what if component.axis else "displacement"
     several = len(component.inputs) > 1
     axes.set_ylabel(f"{'measured ' if several else ''}{noun} ({unit})")
     if not component.inputs:
         axes.set_title(f"{name} {noun}")
         axes.set_xlabel("time since the start of the campaign (h)")
         return
-    said = f"R² in-sample {term.r_squared:.2f}" if explains(term, component.dof) else "not explained"
+    said = (
+        f"R² in-sample {component.component.terms[power].r_squared:.2f}"
+        if explains(component, power)
+        else "not explained"
+    )
     axes.set_title(f"{name} {noun} · {said}")
     if several:
         axes.set_xlabel(f"{noun} predicted from {len(component.inputs)} sensors ({unit})")

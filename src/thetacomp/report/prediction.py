@@ -9,7 +9,7 @@ from scipy import special
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.arrays import Floats
-from thetacomp.model.document import Component, LinearTerm
+from thetacomp.model.law import ComponentLaw, component_laws
 from thetacomp.separation.component import ComponentSeparation
 
 
@@ -22,43 +22,39 @@ class PredictedStates:
     slope_um_per_m: Floats | None
 
 
-def term_at(term: LinearTerm, rise_K: Floats) -> Floats:
-    """Value of one term for rises (n, inputs), in the term's unit, shape (n,)."""
-    return np.asarray(term.constant + rise_K @ np.asarray(term.coefficients_per_K))
+def half_band(law: ComponentLaw, power: int, rise_K: Floats) -> Floats:
+    """Half width of the 95 % interval of a new state of one term, (n,): Student's t times s √(1 + leverage)."""
+    component = law.component
+    leverage = (component.leverage or law.law.axis.leverage).at(rise_K)
+    return np.asarray(
+        special.stdtrit(max(component.dof or 0, 1), 0.975) * component.band.sd[power] * np.sqrt(1.0 + leverage)
+    )
 
 
-def half_band(term: LinearTerm, dof: int, rise_K: Floats) -> Floats:
-    """Half width of the 95 % interval of a new state, shape (n,): Student's t times sqrt(x'Cx + s²)."""
-    design = np.column_stack([np.ones(len(rise_K)), rise_K])
-    covariance = np.asarray(term.covariance, dtype=float).reshape(design.shape[1], design.shape[1])
-    variance = np.einsum("ij,jk,ik->i", design, covariance, design) + term.residual_sd**2
-    return np.asarray(special.stdtrit(max(dof, 1), 0.975) * np.sqrt(np.clip(variance, 0.0, None)))
-
-
-def explains(term: LinearTerm, dof: int, chance: float = 0.05) -> bool:
-    """Whether the inputs explain this term: R² above zero, and coefficients that differ from zero (Wald's F test)."""
-    coefficient = np.asarray(term.coefficients_per_K, dtype=float)
-    if not len(coefficient) or not term.r_squared > 0.0:
+def explains(law: ComponentLaw, power: int, chance: float = 0.05) -> bool:
+    """Whether the inputs explain a term: R² above zero, and coefficients that differ from zero (Wald's F test)."""
+    component = law.component
+    term, sd = component.terms[power], component.band.sd[power]
+    coefficient = np.array(term.coefficients)
+    if not len(coefficient) or not (term.r_squared or 0.0) > 0.0:
         return False
-    covariance = np.asarray(term.covariance, dtype=float)[1:, 1:]
-    scale = np.sqrt(np.diag(covariance))
-    if not np.all(scale > 0.0):
+    if not sd > 0.0:
         return bool(np.any(coefficient != 0.0))  # a perfect fit has no scatter to test against
-    z = coefficient / scale
-    correlation = covariance / np.outer(scale, scale)
-    statistic = float(z @ np.linalg.pinv(correlation, hermitian=True) @ z) / len(z)
-    return bool(special.fdtrc(len(z), max(dof, 1), statistic) <= chance)
+    shape = component.leverage or law.law.axis.leverage
+    along = np.array(shape.directions).reshape(-1, len(coefficient)) @ coefficient
+    statistic = float(along**2 @ np.array(shape.moments)) / (sd**2 * len(coefficient))
+    return bool(special.fdtrc(len(coefficient), max(component.dof or 0, 1), statistic) <= chance)
 
 
-def reference_degC(analysis: Analysis, state: ComponentSeparation, component: Component) -> Floats | None:
+def reference_degC(analysis: Analysis, state: ComponentSeparation, component: ComponentLaw) -> Floats | None:
     """Temperatures of the component's inputs where the error counts as zero; None where the campaign lacks one."""
     if analysis.model.training.datum == "common":
-        return np.array([component.reference.temperature_degC[i] for i in component.inputs])
+        return component.law.zero
     while_cold = inputs_degC(analysis, state, component, state.zero_t_s)
     return None if while_cold is None else np.asarray(while_cold.mean(axis=0))
 
 
-def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: Component, t_s: Floats) -> Floats | None:
+def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: ComponentLaw, t_s: Floats) -> Floats | None:
     """Temperatures of the component's inputs at times (n,), shape (n, inputs); None where the campaign lacks one."""
     measured = analysis.folder.campaign(state.campaign).temperatures
     if not set(component.inputs) <= set(measured.sensor_ids):
@@ -68,12 +64,12 @@ def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: Compo
 
 def drawn_law(analysis: Analysis) -> str:
     """What `predict_states` gives, in words: with heat history in use it is not what predictions come from."""
-    return "the law on key points (not the heat history in use)" if analysis.model.history else "the stored model"
+    return "the law on key points (not the heat history in use)" if analysis.model.prediction else "the stored model"
 
 
 def predict_states(analysis: Analysis, state: ComponentSeparation) -> PredictedStates | None:
     """The law on key points at every state of one separated component; None where the model does not hold it."""
-    component = analysis.model.components.get(state.component)
+    component = component_laws(analysis.model.control).get(state.component)
     if component is None:
         return None
     now = inputs_degC(analysis, state, component, state.t_s)
@@ -81,10 +77,9 @@ def predict_states(analysis: Analysis, state: ComponentSeparation) -> PredictedS
     if now is None or start is None:
         return None
     rise_K = now - start
-    intercept = term_at(component.intercept, rise_K)
-    if component.slope is None or component.p0_mm is None:
+    intercept, *slopes = component.terms(rise_K)
+    if not slopes:
         return PredictedStates(rise_K, intercept, None)
-    slope = term_at(component.slope, rise_K)
     # The model may count positions from another P0 than the separation; the line itself is the same.
-    intercept = intercept + slope * (state.p0_mm - component.p0_mm) / 1000.0
-    return PredictedStates(rise_K, intercept, slope)
+    intercept = intercept + slopes[0] * (state.p0_mm - component.travel_mm[0]) / 1000.0
+    return PredictedStates(rise_K, intercept, slopes[0])

@@ -11,7 +11,8 @@ import numpy as np
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import Campaign
-from thetacomp.model.document import Component, LinearTerm, ModelDocument
+from thetacomp.model.document import Component, ModelDocument
+from thetacomp.model.law import ComponentLaw, component_laws
 from thetacomp.report import style
 from thetacomp.report.prediction import explains
 from thetacomp.sensors.key_points import AxisKeyPoints
@@ -235,17 +236,19 @@ def nothing_was_chosen(analysis: Analysis, points: AxisKeyPoints) -> bool:
 def equations(analysis: Analysis, document: ModelDocument) -> list[Equation]:
     """The equations of a model with what each of its two terms explains in-sample."""
     found = []
-    for name, part in document.components.items():
-        remark = "" if part.inputs else f"{name}: no sensor predicts this component; nothing is compensated."
-        slope = _explained(part.slope, part) if part.slope is not None else NOT_AVAILABLE
-        found.append(Equation(part.equation, part, _explained(part.intercept, part), slope, remark))
+    for name, law in component_laws(document.control).items():
+        part = law.component
+        remark = "" if law.inputs else f"{name}: no sensor predicts this component; nothing is compensated."
+        slope = _explained(law, 1) if len(part.terms) > 1 else NOT_AVAILABLE
+        found.append(Equation(part.equation, part, _explained(law, 0), slope, remark))
     return found
 
 
-def _explained(term: LinearTerm, part: Component) -> str:
-    if not part.inputs or not any(term.coefficients_per_K):
+def _explained(law: ComponentLaw, power: int) -> str:
+    term = law.component.terms[power]
+    if not any(term.coefficients) or term.r_squared is None:
         return NOT_AVAILABLE
-    return number(term.r_squared, 2) if explains(term, part.dof) else "not explained"
+    return number(term.r_squared, 2) if explains(law, power) else "not explained"
 
 
 def validation_tables(analysis: Analysis) -> list[ValidationTable]:

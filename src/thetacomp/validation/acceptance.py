@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thetacomp.model.document import Component, ModelDocument
+from thetacomp.model.document import AxisLaw, ModelDocument
 from thetacomp.validation.rows import (
     CLOCK,
     DEFAULT,
@@ -56,7 +56,7 @@ def acceptance_checks(
         )
     checks += _no_harm(rows)
     for test in permutations:
-        if test.axis in model.history:
+        if test.axis in model.prediction:
             continue
         label = f"axis {test.axis}" if test.axis else "drift"
         checks.append(
@@ -80,7 +80,7 @@ def acceptance_of_static_law(
     permutations: Sequence[PermutationTest],
     model: ModelDocument,
 ) -> tuple[AcceptanceCheck, ...]:
-    """The same checks for `model.components`: the law on key temperatures, which a control carries."""
+    """The same checks for `model.control`: the law on key temperatures, which a control carries."""
     replaced = {r.component for r in residuals if r.model == KEY_POINTS}
     replaced |= {row.component for row in rows if row.model == KEY_POINTS}
     kept_residuals = [r for r in residuals if not (r.model == DEFAULT and r.component in replaced)]
@@ -89,7 +89,7 @@ def acceptance_of_static_law(
         [replace(r, model=DEFAULT) if r.model == KEY_POINTS else r for r in kept_residuals],
         [replace(r, model=DEFAULT) if r.model == KEY_POINTS else r for r in kept_rows],
         permutations,
-        model.model_copy(update={"history": {}}),
+        model.model_copy(update={"prediction": {}}),
     )
 
 
@@ -153,7 +153,7 @@ def _never_tested(residuals: Sequence[Residuals], model: ModelDocument) -> list[
     """Components of the model that no held-out data judged, and axes for which no sensor was found."""
     tested = {r.component for r in residuals if r.model == DEFAULT and len(r.after_um)}
     untested = [name for name in model.components if name not in tested]
-    dumb = [name for name, component in _static(model).items() if not component.inputs]
+    dumb = [name for law in _key_point_laws(model) if not law.layout.sensors for name in law.components]
     return [
         _at_most(
             "components of the model without held-out data",
@@ -170,19 +170,24 @@ def _never_tested(residuals: Sequence[Residuals], model: ModelDocument) -> list[
     ]
 
 
-def _static(model: ModelDocument) -> dict[str, Component]:
-    """Components whose law on key temperatures is what is in use."""
-    return {name: c for name, c in model.components.items() if (c.axis or "") not in model.history}
+def _key_point_laws(model: ModelDocument) -> list[AxisLaw]:
+    """The laws on key temperatures that are what is in use."""
+    return [law for axis, law in model.control.items() if axis not in model.prediction]
 
 
 def _from_model(model: ModelDocument) -> list[AcceptanceCheck]:
-    with_inputs = [c for c in _static(model).values() if c.inputs]
+    ratios = [
+        (c.states or 0) / len(law.layout.sensors)
+        for law in _key_point_laws(model)
+        if law.layout.sensors
+        for c in law.components.values()
+    ]
     checks = []
-    if with_inputs:
+    if ratios:
         checks.append(
             _at_least(
                 "states per input, smallest over the components",
-                min(c.states / len(c.inputs) for c in with_inputs),
+                min(ratios),
                 MIN_STATES_PER_INPUT,
                 "enough states for the number of temperatures in the equations",
             )

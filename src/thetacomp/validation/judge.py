@@ -88,7 +88,9 @@ def judge(prepared: Prepared, trained: Trained, progress: Progress = lambda mess
     known = [r for r in residuals if r.split != FORWARD]
     known_rows = [row for row in rows if row.split != FORWARD]
     acceptance = acceptance_checks(known, known_rows, permutations, trained.model)
-    static = acceptance_of_static_law(known, known_rows, permutations, trained.model) if trained.model.history else ()
+    static = (
+        acceptance_of_static_law(known, known_rows, permutations, trained.model) if trained.model.prediction else ()
+    )
     notes += _clock_notes(known_rows)
     model = with_verdict(trained.model, known_rows, _failed(acceptance), _failed(static), notes)
     return Judged(model, tuple(rows), tuple(by_state), permutations, acceptance)
@@ -114,7 +116,7 @@ def _held_out(prepared: Prepared, trained: Trained, task: AxisTask) -> tuple[Axi
     """Residuals of one axis, held out by its main split and forward in time, and the states that they belong to."""
     made, states = trained.procedures, task.states
     procedures: dict[str, AnyProcedure] = {DEFAULT: made.key_points}
-    if states.axis in trained.model.history:
+    if states.axis in trained.model.prediction:
         procedures = {DEFAULT: made.history, KEY_POINTS: made.key_points}
     procedures |= {CLOCK: clock, ONE_SENSOR: made.paper, ALL_SENSORS: all_sensors}
     if prepared.folder.campaign(states.campaigns[0]).settings.datum == "common":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thetacomp.model.document import ModelDocument
+from thetacomp.model.document import AxisLaw, ModelDocument
 from thetacomp.validation.rows import DEFAULT, KEY_POINTS, ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS
 
@@ -17,32 +17,27 @@ def with_verdict(
     notes: Sequence[str],
 ) -> ModelDocument:
     """The document with what validation found: held-out figures of every component, and the checks that failed."""
-    components = {
-        name: c.model_copy(
-            update={"held_out_um": _held_out(rows, name, KEY_POINTS if (c.axis or "") in model.history else DEFAULT)}
-        )
-        for name, c in model.components.items()
+    control = {
+        axis: _judged(law, rows, KEY_POINTS if axis in model.prediction else DEFAULT)
+        for axis, law in model.control.items()
     }
-    history = {
-        axis: item.model_copy(
-            update={
-                "components": {
-                    name: c.model_copy(update={"held_out_um": _held_out(rows, name, DEFAULT)})
-                    for name, c in item.components.items()
-                }
-            }
-        )
-        for axis, item in model.history.items()
-    }
+    prediction = {axis: _judged(law, rows, DEFAULT) for axis, law in model.prediction.items()}
     return model.model_copy(
         update={
-            "components": components,
-            "history": history,
+            "control": control,
+            "prediction": prediction,
             "failed_checks": tuple(failed_checks),
             "failed_static_checks": tuple(failed_static_checks),
             "notes": tuple(notes),
         }
     )
+
+
+def _judged(law: AxisLaw, rows: Sequence[ValidationRow], judged: str) -> AxisLaw:
+    components = {
+        name: c.model_copy(update={"held_out_um": _held_out(rows, name, judged)}) for name, c in law.components.items()
+    }
+    return law.model_copy(update={"components": components})
 
 
 def _held_out(rows: Sequence[ValidationRow], component: str, judged: str) -> tuple[float, float, float] | None:

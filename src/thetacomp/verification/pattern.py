@@ -6,7 +6,7 @@ It brings both runs to like heat, and it is the pattern that tells which share o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,21 +14,13 @@ from thetacomp.arrays import CARTESIAN, Floats
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.procedures import key_point_procedure
-from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument
-from thetacomp.model.prediction import predict
-from thetacomp.model.volumetric import predict_volume
+from thetacomp.model.prediction import law_values
+from thetacomp.model.volumetric import volume_along
 from thetacomp.separation import ComponentSeparation
 from thetacomp.states import AxisStates
 
 Expected = tuple[Floats, Floats]
-
-
-@dataclass(frozen=True)
-class _Places:
-    t_s: Floats
-    axis: tuple[str, ...]
-    position_mm: Floats
 
 
 def fitted_pattern(
@@ -67,8 +59,9 @@ def model_pattern(
     out, notes = [], []
     for component, samples in zip(states.components, states.samples, strict=True):
         expected = _nothing(len(samples.value_um))
-        known = model.components.get(component)
-        if known is None or not (known.inputs or (known.axis or "") in model.history):
+        law = model.in_use.get(states.axis)
+        known = None if law is None else law.components.get(component)
+        if known is None or not known.predicted:
             notes.append(f"{component}: the model does not predict it; what remains of it is not the model's fault")
             out.append(expected)
             continue
@@ -77,21 +70,22 @@ def model_pattern(
             own = next(s for s in separations if s.campaign == name and s.component == component)
             t_s = 3600.0 * samples.elapsed_h[rows] + float(own.zero_t_s.mean())
             campaign = folder.campaign(name)
-            offsets_mm = (0.0, 1000.0, -1000.0) if own.axis else (0.0, 0.0, 0.0)
-            at_p0, ahead, behind = (_at(model, campaign, own, t_s, states.p0_mm + d_mm) for d_mm in offsets_mm)
+            at_p0, slope, bend = _along(model, campaign, own, t_s, states.p0_mm)
             # What bends counts with the intercept: a slope is what changes sign with the position.
-            bend_um = (0.5 * (ahead + behind) - at_p0) * samples.lever_m[rows] ** 2
-            expected[0][rows], expected[1][rows] = at_p0 + bend_um, 0.5 * (ahead - behind)
+            expected[0][rows], expected[1][rows] = at_p0 + bend * samples.lever_m[rows] ** 2, slope
         out.append(expected)
     return tuple(out), tuple(notes)
 
 
-def _at(model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s: Floats, position_mm: float) -> Floats:
-    """Predicted error at one position less its mean over the cold block, (n,)."""
+def _along(
+    model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s: Floats, p0_mm: float
+) -> tuple[Floats, Floats, Floats]:
+    """Predicted error at `p0_mm`, slope and bend about it, each less its mean over the cold block, (n,).
+
+    A tracker measures true metres, so a wanted length that follows the workpiece plays no part.
+    """
     times = np.concatenate([own.zero_t_s, t_s])
     temperatures, duty = campaign.recording()
-    # A tracker measures true metres, whatever length the parts shall have.
-    model = model.model_copy(update={"length": WantedLength()})
     zero_s = float(own.zero_t_s.mean())
 
     def place(i: int) -> str:
@@ -99,21 +93,27 @@ def _at(model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s:
 
     if model.form == "joint" and own.axis:
         # Here the drift is a component of its own, and the other axes tilt where they stand.
-        places_mm = _standing_mm(model, campaign, own.axis, times) | {own.axis: np.full(len(times), position_mm)}
-        whole = predict_volume(model, temperatures, times, places_mm, None, zero_s, place, duty=duty)
-        value = whole.error_um[:, CARTESIAN.index(own.direction)]
+        places_mm = _standing_mm(model, campaign, own.axis, times) | {own.axis: np.full(len(times), p0_mm)}
+        terms = volume_along(model, temperatures, times, places_mm, own.axis, zero_s, place, duty)
+        at_p0, slope, bend = (term[:, CARTESIAN.index(own.direction)] for term in terms)
     else:
-        places = _Places(times, (own.axis or "",) * len(times), np.full(len(times), position_mm))
-        prediction = predict(model, temperatures, places, zero_s, place, duty)
-        value = prediction.error_um[:, CARTESIAN.index(own.direction)]
-    cold = value[: len(own.zero_t_s)]
-    zero = float(cold[np.isfinite(cold)].mean()) if np.isfinite(cold).any() else 0.0
-    return np.asarray(value[len(own.zero_t_s) :] - zero)
+        values = law_values(model, own.axis or "", temperatures, times, zero_s, place, duty)
+        u_m = values.law.u_m(np.full(len(times), p0_mm))
+        at_p0, slope = values.error_um(own.component, u_m), values.slope_um_per_m(own.component, u_m)
+        bend = values.term(2)[:, CARTESIAN.index(own.direction)]
+    at_p0, slope, bend = (_less_cold(term, len(own.zero_t_s)) for term in (at_p0, slope, bend))
+    return at_p0, slope, bend
+
+
+def _less_cold(value: Floats, cold: int) -> Floats:
+    """Values after the first `cold` ones, less the mean of those."""
+    known = value[:cold][np.isfinite(value[:cold])]
+    return np.asarray(value[cold:] - (float(known.mean()) if len(known) else 0.0))
 
 
 def _standing_mm(model: ModelDocument, campaign: Campaign, moving: str, times: Floats) -> dict[str, Floats]:
     """Where the other axes of the model stood while an axis moved, each (n,); at P0 where nobody wrote it down."""
-    p0_mm = {c.axis: c.p0_mm for c in model.components.values() if c.axis is not None and c.p0_mm is not None}
+    p0_mm = {name: law.p0_mm for name, law in model.in_use.items() if law.p0_mm is not None}
     out = {}
     points = campaign.sweeps
     for name, middle_mm in p0_mm.items():

@@ -94,7 +94,7 @@ def _error_um(
 ) -> Floats:
     """Prediction (n, 3) of the model for the sensors that are left."""
     rest = degraded(model, lost).model if lost else model
-    known = {component.axis for component in rest.components.values()}
+    known = set(rest.in_use)
     if not len(t_s) or not known:
         return np.zeros((len(t_s), 3))
     table = live.table.without(lost)

@@ -119,5 +119,5 @@ def _month(
 
 def used_sensors(model: ModelDocument) -> frozenset[str]:
     """All sensors that a model reads."""
-    history = {name for axis in model.history.values() for name in axis.layout.sensors}
-    return frozenset(history | {name for component in model.components.values() for name in component.inputs})
+    laws = (*model.prediction.values(), *model.control.values())
+    return frozenset(name for law in laws for name in law.layout.sensors)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import AnyProcedure, Predictor, clock
 from thetacomp.fitting.ridge import STRENGTHS
-from thetacomp.model.document import HistoryAxis
+from thetacomp.model.document import AxisLaw
 from thetacomp.states import AxisStates
 from thetacomp.validation.families.choice import FamilyModel, family_procedure
 from thetacomp.validation.families.family import LAGS, Family
@@ -21,7 +21,7 @@ from thetacomp.validation.validate import AxisTask, column_rows, held_out_residu
 def compare_families(
     tasks: Sequence[AxisTask],
     everything: Sequence[AxisStates],
-    history: Mapping[str, HistoryAxis],
+    history: Mapping[str, AxisLaw],
     standing: Mapping[str, AnyProcedure],
     validation: Sequence[ValidationRow],
     progress: Callable[[str], None],
@@ -91,7 +91,7 @@ def _family_rows(task: AxisTask, everything: Sequence[AxisStates], family: Famil
 def _standing_rows(
     task: AxisTask,
     everything: Sequence[AxisStates],
-    history: Mapping[str, HistoryAxis],
+    history: Mapping[str, AxisLaw],
     standing: Mapping[str, AnyProcedure],
     validation: Sequence[ValidationRow],
 ) -> list[ComparisonRow]:
@@ -116,7 +116,9 @@ def _standing_rows(
             watched(task.states)
         except AnalysisError:
             continue
-        count = stored.candidates * len(STRENGTHS) if name == DEFAULT and stored else 1 if name == CLOCK else None
+        count = (
+            (stored.candidates or 1) * len(STRENGTHS) if name == DEFAULT and stored else 1 if name == CLOCK else None
+        )
         rows = [
             row for row in validation if row.split == task.split and row.model == source and row.component in components
         ]
