@@ -22,6 +22,7 @@ from thetacomp.reading.sources import from_columns, read_source
 from thetacomp.reading.tables import load
 
 C = "campaigns/c"
+WITHOUT_SENSORS = MACHINE_TOML[: MACHINE_TOML.index("[[sensors]]")]
 
 
 def problem_of(folder: Path, code: str) -> Problem:
@@ -50,8 +51,8 @@ def changed(root: Path, **files: str) -> Path:
     ("text", "code", "words"),
     [
         ("[" * 5000 + "]" * 5000, "toml-syntax", ""),
-        (MACHINE_TOML[: MACHINE_TOML.index("[[sensors]]")], "missing-key", "sensors"),
-        (MACHINE_TOML[: MACHINE_TOML.index("[[sensors]]")].replace("format = 1\n", "format = 1\nsensors = []\n").replace('sensor = "theta_1"\n', ""),
+        (WITHOUT_SENSORS, "missing-key", "sensors"),
+        (WITHOUT_SENSORS.replace("format = 1\n", "format = 1\nsensors = []\n").replace('sensor = "theta_1"\n', ""),
          "missing-key", "there are no [[sensors]]"),
         (MACHINE_TOML.replace('"theta_3"', '"t_s"'), "sensor-id", "'t_s' cannot be the id of a sensor"),
         (MACHINE_TOML.replace('"theta_3"', '"theta  3"'), "sensor-id", "extra spaces"),
