@@ -47,6 +47,7 @@ from thetacomp.controllers.sinumerik_replay import (
     replay_campaign,
 )
 from thetacomp.controllers.sinumerik_signtest import sign_tests
+from thetacomp.errors import InputError
 from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument
 from thetacomp.report.commissioning import commissioning_sheet
@@ -156,6 +157,18 @@ def test_without_an_axis_along_the_direction_the_drift_is_that_of_the_column() -
     axes = tuple(sorted(made.axes, key=lambda axis: "XZY".index(axis.name)))
     (x, *_) = make_plan(made.model_copy(update={"components": parts, "axes": axes}), SinumerikSettings()).axes
     assert (x.axis.name, x.drift_source, x.slope_source) == ("X", "EXY", None)
+
+
+def test_the_drift_of_a_joint_model_is_not_chosen() -> None:
+    """It is the one of its own component; an axis named for it is refused, its own name is as good as none."""
+    made = mill()
+    parts = made.components | {"DX": component("DX", term(0.0, 7.0), None, T)}
+    joint = made.model_copy(update={"components": parts, "form": "joint"})
+    with pytest.raises(InputError, match=r"drift_source\.X = 'EXX': the model is in the joint form, its drift is DX"):
+        make_plan(joint, SinumerikSettings(drift_source={"X": "EXX"}))
+    for settings in (SinumerikSettings(), SinumerikSettings(drift_source={"X": "DX"})):
+        plan = make_plan(joint, settings)
+        assert (plan.axes[0].drift_source, plan.left_out) == ("DX", ())
 
 
 def test_numbers_of_axes_count_from_one_unless_set() -> None:
@@ -338,6 +351,15 @@ def test_sign_tests_are_made_at_the_end_that_is_farther_from_p0() -> None:
     assert z.direction == "−X"
 
 
+def test_the_farther_end_counts_from_p0_not_from_the_scale() -> None:
+    """From 600 mm it is 150 mm to the upper end at 750 and 100 to the lower one at 500; halfway the upper one."""
+    for p0_mm, end_mm in ((600.0, 750.0), (650.0, 500.0), (625.0, 750.0)):
+        made = mill()
+        moved = made.components["EXZ"].model_copy(update={"p0_mm": p0_mm, "p_min_mm": 500.0, "p_max_mm": 750.0})
+        changed = made.model_copy(update={"components": made.components | {"EXZ": moved}})
+        assert sign_tests(make_plan(changed, SinumerikSettings()))[-1].where == f"Z1 at {end_mm} mm"
+
+
 def test_a_flat_table_gives_what_it_can() -> None:
     """1 µm/m over 0.4 m is 0.4 µm at weight 1: no weight above 1 is asked for."""
     made = plan()
@@ -392,6 +414,9 @@ def test_a_good_plan_has_nothing_to_be_said_but_drift_that_is_not_alike() -> Non
     (one,) = remarks(plan())
     assert one.startswith("DRIFT DOES NOT AGREE: K0[X1] carries the intercept of EXX, +100 µm")
     assert "1 more such pairs" in one
+    parts = {name: part for name, part in mill().components.items() if name != "EXZ"}
+    (alone,) = remarks(make_plan(mill().model_copy(update={"components": parts}), SinumerikSettings()))
+    assert alone.endswith("[drift_source] in export.toml makes the choice.")
     assert not_compensated(plan()) == ()
 
 

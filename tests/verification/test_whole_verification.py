@@ -120,7 +120,8 @@ def test_the_steps_are_told_as_they_begin(folder: MachineFolder) -> None:
     told: list[str] = []
     verify_folder(folder, ["off"], ["on"], true_model(), told.append)
     assert told == [
-        "separating geometry and heat", "relating temperatures and error with compensation off", "comparing off and on",
+        "screening temperatures", "separating geometry and heat",
+        "relating temperatures and error with compensation off", "comparing off and on",
     ]  # fmt: skip
 
 
