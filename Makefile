@@ -42,18 +42,19 @@ docs: $(VENV)/.dev
 	$(BIN)/sphinx-build -W -q docs docs/_build/html
 	@echo "open docs/_build/html/index.html"
 
+# Base for users, base and every extra for the tests; both locked to the same versions.
+LOCK = $(UV) pip compile --universal --generate-hashes --python-version 3.11 --upgrade --no-annotate --quiet \
+  --no-emit-index-url --no-emit-find-links --no-emit-package thetacomp --custom-compile-command "make lock" pyproject.toml
+
 lock:
-	$(UV) pip compile --universal --generate-hashes --python-version 3.11 --upgrade --no-annotate --quiet \
-	  --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" \
-	  pyproject.toml --group build -o requirements.txt
-	$(UV) pip compile --universal --generate-hashes --python-version 3.11 --upgrade --no-annotate --quiet \
-	  --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" \
-	  pyproject.toml --group dev -c requirements.txt -o requirements-dev.txt
+	$(LOCK) --group build -o requirements.txt
+	$(LOCK) --group dev --all-extras -c requirements.txt -o requirements-dev.txt
 
 clean:
 	rm -rf $(VENV) thetacomp-demo docs/_build build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-# The environment is made anew when the locked requirements change; wheels only, so no compiler is needed.
+# The environment is made anew when the locked requirements change; wheels only, so no compiler is needed. `make demo`
+# installs what a user installs, without extras; the tests need all of them.
 $(VENV)/.runtime: requirements.txt scripts/make_venv.sh
 	@scripts/make_venv.sh $(VENV)
 	@echo "make: installing the locked dependencies"

@@ -20,10 +20,11 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
+from thetacomp.files import write_files
 from thetatwin.conditions import PRESETS, Conditions, load_conditions
 from thetatwin.description import load_description
 from thetatwin.mounting import load_mounting
-from thetatwin.placement_page import PLACES, write_placement
+from thetatwin.placement_page import PLACES, placement_files
 from thetatwin.sensor_places import place_sensors
 from thetatwin.sensor_sets import read_places, with_sensors
 from thetatwin.trial.loop import Deviation, MeasuringPlan, summaries, verify_machine
@@ -96,7 +97,7 @@ def _built(conditions: Conditions, sensors: str, places: Path | None) -> Virtual
     machine, mounting = build(description), load_mounting("tk6920_mounting", description)
     chosen = place_sensors(machine, conditions, mounting, len(description.sensors), PLACEMENT_SEED)
     with tempfile.TemporaryDirectory() as folder:
-        write_placement(Path(folder), machine, conditions, mounting, chosen, PLACEMENT_SEED)
+        write_files(Path(folder), placement_files(machine, conditions, mounting, chosen, PLACEMENT_SEED))
         return build(with_sensors(description, read_places(Path(folder) / PLACES, STRATEGY)))
 
 

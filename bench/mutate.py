@@ -65,7 +65,7 @@ ROOMS = {
 }
 # Loaded once, before the copies of this process run the tests.
 LIBRARIES = ("numpy", "pandas", "scipy.stats", "scipy.optimize", "scipy.signal", "sklearn.linear_model",
-             "pyarrow.parquet", "matplotlib.pyplot", "numba", "typer.testing", "pydantic", "openpyxl")  # fmt: skip
+             "pyarrow.parquet", "matplotlib.pyplot", "typer.testing", "pydantic", "openpyxl")  # fmt: skip
 
 
 @dataclass(eq=False)
@@ -219,8 +219,6 @@ def tests_of(mutant: Mutant, root: Path, source: bytes, reached: dict[str, set[t
     ]  # fmt: skip
     if not holders:
         return [test for test, lines in reached.items() if any(name == file for name, _ in lines)]
-    if any("compiled" in ast.unparse(mark) for holder in holders for mark in holder.decorator_list):
-        return list(reached)  # what Numba has compiled leaves no trace
     last = mutant.line + mutant.old.count(b"\n")
     statements = [
         node for holder in holders for node in ast.walk(holder)

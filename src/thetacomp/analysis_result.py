@@ -15,7 +15,7 @@ from thetacomp.validation.families.rows import ComparisonRow
 from thetacomp.validation.rows import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Analysis:
     """Result of one run of the analysis wing.
 
@@ -45,3 +45,19 @@ class Analysis:
     screening: ScreenedFolder | None = None
     comparison: tuple[ComparisonRow, ...] = ()
     sensor_curves: tuple[SensorCurve, ...] = ()
+
+    def __repr__(self) -> str:
+        axes = ", ".join(axis.name for axis in self.folder.machine.axes) or "none"
+        failed = sum(not check.passed for check in self.acceptance)
+        verdict = "fit for use" if not failed else f"not fit for use: {failed} of {len(self.acceptance)} checks failed"
+        return (
+            f"Analysis: {self.model.machine or 'machine'}, {verdict}\n"
+            f"campaigns: {', '.join(c.name for c in self.folder.campaigns)}\n"
+            f"axes: {axes}; {len(self.model.components)} error components, {self.model.form} form\n"
+            f"sensors: {len(self.folder.machine.sensors)}; key points: {self._key_points()}"
+        )
+
+    def _key_points(self) -> str:
+        return "; ".join(
+            f"{found.axis or 'drift'}: {', '.join(found.key_points) or 'none'}" for found in self.key_points
+        )

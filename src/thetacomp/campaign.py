@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from thetacomp.arrays import Floats, Ints
-from thetacomp.machine import Machine, Strict
+from thetacomp.machine import Machine, Strict, Text
 from thetacomp.model.temperatures import Duty, Temperatures
 
 Positive = Annotated[float, Field(gt=0)]
@@ -38,12 +38,12 @@ class CampaignSettings(Strict):
     """`campaign.toml`. `sign = "unproven"` marks data whose sign convention the source does not state."""
 
     datum: Literal["campaign", "common"] = "campaign"
-    instrument: str = ""
+    instrument: Text = ""
     instrument_u_um: float | None = None
     instrument_u_um_per_m: float | None = None
     compensation: Literal["off", "on"] = "off"
-    active_tables: tuple[str, ...] = ()
-    mode: str = ""
+    active_tables: tuple[Text, ...] = ()
+    mode: Text = ""
     tool_length_mm: float = 0.0
     reference_s: float | None = None
     sign: Literal["stated", "unproven"] = "stated"

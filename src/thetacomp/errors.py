@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 
@@ -49,3 +50,11 @@ class AnalysisError(ThetacompError):
 
 class ModelFileError(ThetacompError):
     """A model.json cannot be read: not ours, damaged, or of a format this version does not know."""
+
+
+class OutputError(ThetacompError):
+    """Something cannot be written where it shall go; what was there before is untouched."""
+
+    def __init__(self, path: Path, what: str, fix: str) -> None:
+        self.path, self.what, self.fix = path, what, fix
+        super().__init__(f"{path}: {what} Fix: {fix}")

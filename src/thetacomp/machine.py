@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from thetacomp.names import checked_name
 
 SensorRole = Literal[
     "drive", "bearing", "guide", "structure", "fluid", "ambient", "foundation", "workpiece", "reference"
 ]
 Direction = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"]
-Identifier = Annotated[str, Field(min_length=1)]
+Text = Annotated[str, AfterValidator(checked_name)]
+Identifier = Annotated[Text, Field(min_length=1)]
 
 
 class Strict(BaseModel):
@@ -51,7 +54,7 @@ class Sensor(Strict):
     """A temperature sensor. `axis` is absent where it belongs to no axis; `at_mm` is only used to draw it."""
 
     id: Identifier
-    location: str = ""
+    location: Text = ""
     role: SensorRole
     axis: str | None = None
     at_mm: tuple[float, float, float] | None = None

@@ -1,4 +1,4 @@
-"""Under which conditions campaigns were measured, and which of them may share a model."""
+"""Under which conditions campaigns were measured, what a model has to say of them, and which may share a model."""
 
 from __future__ import annotations
 
@@ -44,6 +44,25 @@ def refuse_mixtures(campaigns: Sequence[Campaign], mix: bool = False) -> tuple[s
                 " or ask for the mixture with --mix."
             )
         notes.append(f"campaigns with different {what} ({listed}) were mixed as asked: the model may fit neither")
+    return tuple(notes)
+
+
+def condition_notes(campaigns: Sequence[Campaign]) -> tuple[str, ...]:
+    """What the settings and the tracker of campaigns say that a user of their model has to know."""
+    notes = [
+        f"sign unproven: campaign {campaign.name} does not state its sign convention; a wrong sign doubles the error"
+        for campaign in campaigns
+        if campaign.settings.sign == "unproven"
+    ]
+    notes += [f"origin of campaign {c.name}: {c.settings.origin.strip()}" for c in campaigns if c.settings.origin]
+    notes += [
+        f"campaign {c.name} was measured while the control applied {', '.join(c.settings.active_tables)} compensation;"
+        " these tables must be active whenever the model is used"
+        for c in campaigns
+        if c.settings.active_tables
+    ]
+    ties = [(c.name, c.tracker) for c in campaigns if c.tracker is not None]
+    notes += [f"campaign {name}, tracker: {note}" for name, tie in ties for note in (*tie.notes, *tie.doubts)]
     return tuple(notes)
 
 

@@ -1,8 +1,8 @@
 """Mergeable cross products of inputs and targets: the one small thing that all linear work is done on.
 
 A `Summary` holds the row count, the means and the centred cross products of one campaign. Summaries are built in one
-pass, merged and subtracted (Chan, Golub, LeVeque 1979, "Updating formulae and a pairwise algorithm for computing
-sample variances"), and give least squares, ridge and leave-one-campaign-out errors without another look at the rows.
+pass and merged (Chan, Golub, LeVeque 1979, "Updating formulae and a pairwise algorithm for computing sample
+variances"), and give least squares, ridge and leave-one-campaign-out errors without another look at the rows.
 """
 
 from __future__ import annotations
@@ -62,6 +62,11 @@ class Summary:
     def target_mean(self) -> Floats:
         """Means of the targets, (q,)."""
         return self.mean[len(self.inputs) :]
+
+    def about_zero(self) -> Floats:
+        """Sums over the rows of products of the columns themselves, (p + q, p + q): for fits without a constant."""
+        products: Floats = self.cross + self.count * np.outer(self.mean, self.mean)
+        return products
 
     def is_constant(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which of the p + q columns do not vary beyond rounding."""
@@ -183,20 +188,6 @@ def merge(summaries: Sequence[Summary], name: str = "") -> Summary:
     return replace(first, name=name, count=moments[0], mean=moments[1], cross=moments[2], skipped=skipped)
 
 
-def subtract(total: Summary, part: Summary, name: str = "") -> Summary:
-    """The summary of the rows of `total` that are not in `part`, which must have been merged into it."""
-    _same_columns(total, part)
-    count = total.count - part.count
-    if count <= 0:
-        raise AnalysisError(f"'{total.name}' holds no rows beside those of '{part.name}'")
-    # Differences of means stay small where the means themselves carry a large offset.
-    mean = total.mean + (total.mean - part.mean) * (part.count / count)
-    step = part.mean - mean
-    cross = total.cross - part.cross - np.outer(step, step) * (count * part.count / total.count)
-    np.fill_diagonal(cross, np.maximum(np.diag(cross), 0.0))
-    return replace(total, name=name, count=count, mean=mean, cross=cross, skipped=total.skipped - part.skipped)
-
-
 def leave_one_out(campaigns: Sequence[Summary]) -> tuple[Summary, ...]:
     """For every campaign the summary of all the others. AnalysisError where there are fewer than two campaigns.
 
@@ -239,28 +230,10 @@ def least_squares(summary: Summary) -> LinearFit:
     dependent = _first_dependent(correlation)
     if dependent is not None:
         raise AnalysisError(
-            f"input '{summary.inputs[dependent]}' is a combination of the inputs before it; leave it out or use ridge"
+            f"input '{summary.inputs[dependent]}' is a combination of the inputs before it; leave it out"
         )
     standardised = np.linalg.solve(correlation, summary.mixed_cross / scale[:, None])
     return _fit(summary, standardised / scale[:, None])
-
-
-def ridge(summary: Summary, strength: float) -> LinearFit:
-    """Ridge regression on standardised inputs (mean 0, standard deviation 1), intercept free.
-
-    `strength` is the penalty on the squared standardised coefficients against the plain sum of squared residuals, as in
-    scikit-learn's `Ridge` behind a `StandardScaler`. Constant inputs get the coefficient 0.
-    """
-    if not strength > 0.0:
-        raise AnalysisError(
-            f"the ridge strength must be above 0, found {strength:g}; without a penalty use least squares"
-        )
-    constant = summary.is_constant()[: len(summary.inputs)]
-    scale = np.where(constant, 1.0, np.sqrt(np.diag(summary.input_cross) / max(summary.count, 1)))
-    weight = np.where(constant, 0.0, 1.0 / scale)
-    gram = summary.input_cross * np.outer(weight, weight)
-    standardised = np.linalg.solve(gram + strength * np.eye(len(scale)), summary.mixed_cross * weight[:, None])
-    return _fit(summary, standardised * weight[:, None])
 
 
 def residual_squares(summary: Summary, fit: LinearFit) -> Floats:
@@ -271,12 +244,9 @@ def residual_squares(summary: Summary, fit: LinearFit) -> Floats:
     return np.maximum(squares, 0.0)
 
 
-def held_out_squares(campaigns: Sequence[Summary], strength: float = 0.0) -> Floats:
-    """Sum of squared errors of each campaign under the fit to all the others, (campaigns, q).
-
-    `strength` 0 is least squares, above 0 ridge with the inputs standardised on the training campaigns of each fold.
-    """
-    fits = (ridge(rest, strength) if strength > 0.0 else least_squares(rest) for rest in leave_one_out(campaigns))
+def held_out_squares(campaigns: Sequence[Summary]) -> Floats:
+    """Sum of squared errors of each campaign under the least-squares fit to all the others, (campaigns, q)."""
+    fits = [least_squares(rest) for rest in leave_one_out(campaigns)]
     return np.array([residual_squares(campaign, fit) for campaign, fit in zip(campaigns, fits, strict=True)])
 
 

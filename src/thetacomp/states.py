@@ -93,6 +93,11 @@ class AxisStates:
         return self.axis == DRIFT
 
     @property
+    def label(self) -> str:
+        """How notes and messages name the axis."""
+        return "drift" if self.is_drift else f"axis {self.axis}"
+
+    @property
     def half_travel_m(self) -> float:
         """Largest distance from P0 over the measured positions in metres."""
         return max(self.p_max_mm - self.p0_mm, self.p0_mm - self.p_min_mm) / 1000.0
@@ -125,21 +130,6 @@ class AxisStates:
         samples = tuple(_renumbered(samples, row_of) for samples in self.samples)
         passed = self.passage.among(chosen["campaign"], chosen["t_s"])
         return replace(self, samples=samples, passage=passed, **chosen)
-
-    def parameters(self) -> tuple[tuple[str, ...], Floats, Floats]:
-        """Names, values (n, m) and µm weights (m,) of all parameters that can vote.
-
-        The weight turns one unit of the parameter into µm at the end of the travel: 1 for an intercept, half the
-        travel in metres for a slope.
-        """
-        names = [f"{component} intercept" for component in self.components]
-        values = [self.intercept_um]
-        weights = [1.0] * len(names)
-        if not self.is_drift:
-            names += [f"{component} slope" for component in self.components]
-            values.append(self.slope_um_per_m)
-            weights += [self.half_travel_m] * len(self.components)
-        return tuple(names), np.hstack(values), np.array(weights)
 
 
 def curve_um(parameters: Floats, component: int, components: int, lever_m: Floats) -> Floats:

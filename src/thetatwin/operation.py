@@ -11,12 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thetacomp.arrays import Floats
+from thetacomp.arrays import Floats, Ints
+from thetacomp.model.temperatures import Duty
 from thetatwin.description import Bearing, Description, Oil, Source
 from thetatwin.thermal import AIR_INPUTS, COOLING_INPUT, GROUND_INPUT, air_pattern
 from thetatwin.virtual import VirtualMachine
 
 STEP_S = 60.0
+SPEED = "spindle_rpm"
 _CHUNK = 1440
 
 
@@ -29,6 +31,22 @@ class Work:
     rpm: Floats
     feed_m_min: Mapping[str, Floats]
     chiller: Floats
+
+
+def spindle_duty(work: Work, t_s: Floats, own_s: Floats) -> Duty:
+    """Spindle speed at times counted from the first minute of `work`, under the times `own_s` of a table.
+
+    The machine stands still before the first minute.
+    """
+    rows = np.floor(t_s / STEP_S).astype(np.int64)
+    rpm = np.where(rows < 0, 0.0, work.rpm[np.clip(rows, 0, len(work.rpm) - 1)])
+    return Duty(own_s, {SPEED: rpm})
+
+
+def at_minute(by_minute: Floats, t_s: Floats) -> Floats:
+    """Values of the minutes in which the times lie."""
+    rows: Ints = np.clip(np.floor(t_s / STEP_S).astype(np.int64), 0, len(by_minute) - 1)
+    return np.asarray(by_minute[rows])
 
 
 @dataclass(frozen=True)

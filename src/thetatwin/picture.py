@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -109,8 +109,8 @@ def warm_machine(
     return WarmMachine(machine, _places(machine, positions_mm), moved, degC, drawn, largest_m * 1e6, tool)
 
 
-def draw_machine(machine: VirtualMachine, record: Record, tool_length_mm: float, *paths: Path) -> None:
-    """Draw the end of the warm-up of a campaign against its cold reference and save it as PNG and SVG, by the paths."""
+def campaign_figure(machine: VirtualMachine, record: Record, tool_length_mm: float) -> Figure:
+    """The end of the warm-up of a campaign against its cold reference."""
     truth, history = record.truth, record.history
     busy = record.work_t_s[(record.work.rpm > 0) & (record.work_t_s >= 0)]
     warm_s = record.begin_s + STEP_S + (busy[-1] if len(busy) else record.work_t_s[-1])
@@ -120,9 +120,7 @@ def draw_machine(machine: VirtualMachine, record: Record, tool_length_mm: float,
     shown = warm_machine(machine, warm, warm - cold, positions, tool_length_mm)
     hours = (warm_s - record.begin_s) / 3600
     title = f"{machine.description.name}, campaign {record.plan.name}, {hours:.1f} h after the cold start"
-    figure = machine_figure(shown, title, sensor_marks(machine))
-    for path in paths:
-        save_figure(figure, path)
+    return machine_figure(shown, title, sensor_marks(machine))
 
 
 def sensor_marks(machine: VirtualMachine, color: str = "white") -> tuple[Mark, ...]:
@@ -187,11 +185,14 @@ def _words(shown: WarmMachine, step_K: float, marked: bool, width_in: float) -> 
     return "\n".join(textwrap.fill(part, int(_LETTERS_PER_IN * width_in)) for part in parts)
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Save as PNG or SVG, by the ending; the same figure gives the same bytes."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+def figure_content(figure: Figure, name: str) -> bytes:
+    """The figure as PNG or SVG, by the ending of its name; the same figure gives the same bytes."""
+    out, kind = io.BytesIO(), name.rpartition(".")[2]
     with matplotlib.rc_context({"svg.hashsalt": "thetacomp", "svg.fonttype": "none"}):
-        figure.savefig(path, metadata={"Date": None, "Creator": None} if path.suffix == ".svg" else None)
+        figure.canvas.print_figure(
+            out, format=kind, dpi=figure.dpi, metadata={"Date": None, "Creator": None} if kind == "svg" else None
+        )
+    return out.getvalue()
 
 
 def isotherm_step(span_K: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,9 @@ import numpy as np
 from thetacomp import __version__
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
+from thetacomp.files import Files, write_files
+from thetacomp.outputs import output_folder
+from thetacomp.table_file import csv_text, fixed
 from thetatwin.campaigns import NEW_YEAR, START_HOUR, Plan, Record, Twin, run_campaign
 from thetatwin.mesh import AXES
 
@@ -29,15 +32,22 @@ def refuse_filled(folder: Path) -> None:
             raise AnalysisError(f"{place} already exists and is not empty. Fix: name another folder or remove it.")
 
 
-def write_twin(folder: Path, twin: Twin, plans: Sequence[Plan]) -> tuple[Record, ...]:
-    """Run the planned campaigns and write both folders. Raises AnalysisError where one of them is not empty."""
+def write_twin(
+    folder: Path, twin: Twin, plans: Sequence[Plan], pictures: Callable[[Record], Files] = lambda record: {}
+) -> tuple[Record, ...]:
+    """Run the planned campaigns and write both folders, each whole; `pictures` of the first campaign go to the truth.
+
+    Raises AnalysisError where one of them is not empty, OutputError where one cannot be written.
+    """
     refuse_filled(folder)
-    truth, records = truth_folder(folder), [run_campaign(twin, plan) for plan in plans]
-    write_machine_folder(folder, twin, records)
-    for record in records:
-        write_truth(truth / "campaigns" / record.plan.name, twin, record)
-    _text(truth / "truth.toml", _truth_toml(twin, records))
-    _table(truth / "geometry.csv", *_geometry_table(twin))
+    with output_folder(folder) as measured, output_folder(truth_folder(folder)) as truth:
+        records = [run_campaign(twin, plan) for plan in plans]
+        write_machine_folder(measured, twin, records)
+        for record in records:
+            write_truth(truth / "campaigns" / record.plan.name, twin, record)
+        _text(truth / "truth.toml", _truth_toml(twin, records))
+        _table(truth / "geometry.csv", *_geometry_table(twin))
+        write_files(truth, pictures(records[0]))
     return tuple(records)
 
 
@@ -165,7 +175,7 @@ def _components(twin: Twin, record: Record) -> tuple[list[str], list[list[str]]]
         for d, direction in enumerate(AXES):
             figures = (line[0, d], line[1, d], middle, *axis.travel_mm, shape[d])
             for column, text in zip(
-                columns, [f"{t_s:.1f}", f"E{direction}{axis.name}", *(f"{x:.3f}" for x in figures)], strict=True
+                columns, [fixed(t_s, 1), f"E{direction}{axis.name}", *(fixed(x, 3) for x in figures)], strict=True
             ):
                 column.append(text)
     return head, columns
@@ -273,17 +283,12 @@ def _toml(value: object) -> str:
 
 def _texts(values: Floats, decimals: int) -> list[str]:
     """Numbers as text, NaN as an empty cell, never "-0"."""
-    return [
-        "" if np.isnan(v) else f"{v + 0.0:.{decimals}f}" for v in np.round(np.asarray(values, dtype=float), decimals)
-    ]
+    return [fixed(v + 0.0, decimals) for v in np.round(np.asarray(values, dtype=float), decimals)]
 
 
 def _table(path: Path, head: Sequence[str], columns: Sequence[Sequence[str]]) -> None:
-    lines = [",".join(head), *(",".join(row) for row in zip(*columns, strict=True))]
-    _text(path, "\n".join(lines) + "\n")
+    _text(path, csv_text(head, zip(*columns, strict=True)))
 
 
 def _text(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # The same bytes on every system: no change of line ends.
-    path.write_text(text, encoding="utf-8", newline="\n")
+    write_files(path.parent, {path.name: text})

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from thetacomp.campaign import Campaign, CampaignSettings
 from thetacomp.machine import Machine
+from thetacomp.reading import read_frames
 
 HOURS = 8
 SENSORS = ("theta_1", "theta_2", "theta_3")
@@ -164,6 +166,13 @@ def write_files(root: Path, files: Mapping[str, str | bytes]) -> Path:
 def small_folder(root: Path) -> Path:
     """A valid machine folder with two campaigns of sweeps, drift and duty."""
     return write_files(root, valid_files())
+
+
+def campaign_of_frames(
+    machine: Machine, name: str, *, settings: CampaignSettings | None = None, **tables: Any
+) -> Campaign:
+    """One campaign from tables in memory."""
+    return read_frames(machine, {name: tables}, {name: settings} if settings else None).campaign(name)
 
 
 def write_xlsx(path: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> Path:

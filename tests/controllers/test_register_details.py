@@ -46,10 +46,10 @@ from thetacomp.controllers.sinumerik_replay import (
     CampaignReplay,
     replay_campaign,
 )
-from thetacomp.controllers.sinumerik_sheet import commissioning_sheet
 from thetacomp.controllers.sinumerik_signtest import sign_tests
 from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument
+from thetacomp.report.commissioning import commissioning_sheet
 
 T = {"t": 20.0}
 
@@ -149,6 +149,15 @@ def test_a_register_that_follows_the_workpiece_is_clamped_by_both_and_zero_at_it
     assert y.clamp_tan_beta == pytest.approx(115e-6)
 
 
+def test_without_an_axis_along_the_direction_the_drift_is_that_of_the_column() -> None:
+    """X has no error of its own: what the sweep along Y saw counts, whatever comes first in machine and model."""
+    made = mill()
+    parts = {name: made.components[name] for name in ("EXZ", "EXY")}
+    axes = tuple(sorted(made.axes, key=lambda axis: "XZY".index(axis.name)))
+    (x, *_) = make_plan(made.model_copy(update={"components": parts, "axes": axes}), SinumerikSettings()).axes
+    assert (x.axis.name, x.drift_source, x.slope_source) == ("X", "EXY", None)
+
+
 def test_numbers_of_axes_count_from_one_unless_set() -> None:
     assert {t.base_number for t in plan().tables} == {2, 3}
     assert [t.base_number for t in plan(axis_number={"Y": 7}).tables] == [7, 3]
@@ -191,6 +200,18 @@ def test_the_sheet_says_what_each_register_and_table_carries() -> None:
     ]
     assert "MD18342[0], MD18342[1] = 11 or more" in sheet
     assert "(X1 = 0.87 mm; sized" in sheet
+
+
+def test_the_sheet_names_the_workpiece_where_a_register_follows_it() -> None:
+    length = WantedLength(
+        wanted="workpiece", workpiece_expansion_per_K=11.5e-6, workpiece_sensor="part", workpiece_degC=(15.0, 30.0)
+    )
+    sheet = commissioning_sheet(make_plan(mill().model_copy(update={"length": length}), SinumerikSettings()))
+    rows = part(sheet, "1 What goes where", "2 Steps")[:2]
+    assert [row[2:4] for row in rows] == [
+        ["intercept of EXX", "slope of EXX, expansion of the workpiece (part)"],
+        ["0: drift is counted elsewhere", "expansion of the workpiece (part)"],
+    ]
 
 
 def inexact(reference_degC: float) -> ModelDocument:
@@ -242,6 +263,7 @@ def test_several_sensors_share_what_rounding_may_do() -> None:
     assert law_in_digits(one, 1e3)[1] == [("+", "0.01", "a", "20.12")]
     assert law_in_digits(two, 1e3)[1] == [("+", "0.01", "a", "20.123"), ("-", "0.001", "b", "20.12")]
     assert law_in_digits(RegisterLaw(-1.23456789), 1e3) == ("-1.234568", [])
+    assert RegisterLaw(2.0).at({}).tolist() == [2.0]  # a constant needs no temperature
 
 
 def test_numbers_are_decimals_without_an_exponent_or_a_negative_zero() -> None:

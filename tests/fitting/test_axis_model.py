@@ -12,8 +12,8 @@ from scipy import stats
 from thetacomp.analysis import analyze_folder
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters
 from thetacomp.fitting.build import build_document
-from thetacomp.fitting.folds import hold_out
 from thetacomp.fitting.key_point_law import clock, fit_axis
+from thetacomp.folds import hold_out
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_folder
 from thetacomp.states import AxisStates, axis_states

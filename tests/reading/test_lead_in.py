@@ -104,3 +104,11 @@ def test_a_sample_missing_at_the_seam_is_bridged_from_both_sides() -> None:
     expected = history_inputs(layout, t_s, 20.0 + t_s[:, None] / 1e4)[t_s >= 0]
     found = history_track(with_lead_in(whole), layout, np.zeros(1)).inputs
     np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_a_sensor_that_counts_as_never_read_is_gone_from_the_lead_in_too() -> None:
+    read = with_lead_in(campaign(np.arange(-7200.0, 7201.0, 600.0)))
+    rest = read.without_sensors({"a"})
+    assert rest.before is not None
+    assert rest.before.temperatures.sensor_ids == rest.temperatures.sensor_ids == ("b",)
+    assert rest.recording()[0].value_degC.shape == (25, 1)

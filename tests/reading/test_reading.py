@@ -16,6 +16,7 @@ import pytest
 from machine_folders import (
     CAMPAIGN_TOML,
     MACHINE_TOML,
+    campaign_of_frames,
     csv_text,
     drift_rows,
     duty_rows,
@@ -34,10 +35,10 @@ from thetacomp.campaign import Campaign, CampaignSettings
 from thetacomp.cli.main import app
 from thetacomp.errors import InputError
 from thetacomp.reading import (
-    campaign_from_frames,
     check_folder,
     read_correlations,
     read_folder,
+    read_frames,
     read_machine,
     read_positions,
     read_temperatures,
@@ -123,7 +124,7 @@ def test_csv_xlsx_parquet_and_pandas_give_equal_numbers(tmp_path: Path) -> None:
     frames = {name: frame(table) for name, table in rows.items()}
     same(read, read_folder(xlsx).campaigns[0])
     same(read, read_folder(parquet).campaigns[0])
-    same(read, campaign_from_frames(small_machine(), "a", **frames))
+    same(read, campaign_of_frames(small_machine(), "a", **frames))
 
 
 # Real bytes of exports: encoding, delimiter, decimal sign.
@@ -197,12 +198,12 @@ def test_real_dates_of_excel_parquet_and_pandas(tmp_path: Path) -> None:
     xlsx = read_folder(tmp_path).campaigns[0]
     np.testing.assert_array_equal(xlsx.temperatures.t_s, 3600 * np.arange(4))
     assert xlsx.start == times[0]
-    same(xlsx, campaign_from_frames(small_machine(), "a", temperatures=frame(rows)))
+    same(xlsx, campaign_of_frames(small_machine(), "a", temperatures=frame(rows)))
     indexed = frame(rows).set_index("time")
-    same(xlsx, campaign_from_frames(small_machine(), "a", temperatures=indexed))
+    same(xlsx, campaign_of_frames(small_machine(), "a", temperatures=indexed))
     zoned = frame(rows)
     zoned["time"] = zoned["time"].dt.tz_localize("Europe/Berlin")
-    start = campaign_from_frames(small_machine(), "a", temperatures=zoned).start
+    start = campaign_of_frames(small_machine(), "a", temperatures=zoned).start
     assert start is not None
     assert start.astimezone(UTC) == datetime(2026, 3, 4, 7, tzinfo=UTC)
 
@@ -307,18 +308,49 @@ def test_pandas_frames_are_checked_like_files() -> None:
     sweeps = frame(sweep_rows()).assign(axis="Q")
     settings = CampaignSettings(reference_s=1e9)
     with pytest.raises(InputError) as caught:
-        campaign_from_frames(small_machine(), "a", temperatures=heat, sweeps=sweeps, settings=settings)
+        campaign_of_frames(small_machine(), "a", temperatures=heat, sweeps=sweeps, settings=settings)
     codes = {problem.code: problem for problem in caught.value.problems}
     assert set(codes) == {"temperature-range", "unknown-axis", "reference"}
     assert codes["temperature-range"].row == 5
     mixed = frame(temperature_rows()).astype({"theta_1": object})
     mixed.loc[2, "theta_1"] = "21,5"
     with pytest.raises(InputError, match="row 4, column 'theta_1': found the number '21,5' stored as text"):
-        campaign_from_frames(small_machine(), "a", temperatures=mixed)
+        campaign_of_frames(small_machine(), "a", temperatures=mixed)
     odd = frame(temperature_rows())
     odd["theta_1"] = [[1]] * len(odd)
     with pytest.raises(InputError, match="expected a finite number"):
-        campaign_from_frames(small_machine(), "a", temperatures=odd)
+        campaign_of_frames(small_machine(), "a", temperatures=odd)
+
+
+def test_arrays_are_read_like_pandas_frames() -> None:
+    table = frame(temperature_rows())
+    arrays = {name: table[name].to_numpy() for name in table.columns}
+    same(
+        campaign_of_frames(small_machine(), "a", temperatures=table),
+        campaign_of_frames(small_machine(), "a", temperatures=arrays),
+    )
+    clock = np.datetime64("2026-03-04T08:00") + (arrays.pop("t_s") * 1e6).astype("timedelta64[us]")
+    dated = campaign_of_frames(small_machine(), "a", temperatures={"time": clock, **arrays})
+    assert dated.start == datetime(2026, 3, 4, 8)
+    np.testing.assert_array_equal(dated.temperatures.t_s, table["t_s"])
+    with pytest.raises(InputError, match="temperatures: found columns of 2 and 49 values"):
+        campaign_of_frames(small_machine(), "a", temperatures={**arrays, "t_s": np.arange(2.0)})
+
+
+def test_all_campaigns_of_frames_are_checked_at_once() -> None:
+    heat, sweeps = frame(temperature_rows()), frame(sweep_rows())
+    folder = read_frames(small_machine(), {"a": {"temperatures": heat, "sweeps": sweeps}, "b": {"temperatures": heat}})
+    assert [campaign.name for campaign in folder.campaigns] == ["a", "b"]
+    tables = {"a": {"temperatures": heat, "sweep": sweeps}, "b": {"sweeps": sweeps.assign(axis="Q")}}
+    with pytest.raises(InputError) as caught:
+        read_frames(small_machine(), tables, {"c": CampaignSettings()})
+    found = {(problem.code, problem.file) for problem in caught.value.problems}
+    assert found == {
+        ("unknown-campaign", "settings"),
+        ("unknown-table", "campaign 'a', sweep"),
+        ("unknown-axis", "campaign 'b', sweeps"),
+        ("missing-table", "campaign 'b'"),
+    }
 
 
 def documented() -> dict[str, str]:

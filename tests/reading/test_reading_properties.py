@@ -13,13 +13,21 @@ import openpyxl
 import pandas as pd
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from machine_folders import MACHINE_TOML, SENSORS, csv_text, small_machine, temperature_rows, valid_files, write_files
+from machine_folders import (
+    MACHINE_TOML,
+    SENSORS,
+    campaign_of_frames,
+    csv_text,
+    small_machine,
+    temperature_rows,
+    valid_files,
+    write_files,
+)
 
 from thetacomp.campaign import MachineFolder
 from thetacomp.errors import InputError, Problem
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading import (
-    campaign_from_frames,
     check_folder,
     read_correlations,
     read_positions,
@@ -209,4 +217,4 @@ def test_workbook_parquet_and_pandas_round_trip(table: tuple[list[int], list[tup
         book.save(Path(root) / "t.xlsx")
         for name in ("t.parquet", "t.xlsx"):
             expect(read_temperatures(Path(root) / name), times, values)
-    expect(campaign_from_frames(small_machine(), "c", temperatures=frame).temperatures, times, values)
+    expect(campaign_of_frames(small_machine(), "c", temperatures=frame).temperatures, times, values)

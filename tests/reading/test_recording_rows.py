@@ -121,6 +121,14 @@ def test_the_last_row_of_the_file_is_the_last_that_a_campaign_may_have(tmp_path:
             assert "ends at row 14, but the last data row of log.csv is 13" in problems[0].message
 
 
+def test_a_campaign_of_empty_lines_is_refused(tmp_path: Path) -> None:
+    recording(tmp_path, "s")
+    path = tmp_path / "log.csv"
+    lines = path.read_text(encoding="utf-8").split("\n")
+    path.write_text("\n".join("" if 2 <= i <= 6 else line for i, line in enumerate(lines)), encoding="utf-8")
+    assert {p.code for p in check_folder(tmp_path)[1] if p.severity == "error"} == {"campaign-rows"}
+
+
 def test_neighbouring_campaigns_may_touch_and_neither_share_a_row_nor_a_name(tmp_path: Path) -> None:
     recording(tmp_path, "s")
     toml = TOML.format(unit="s", duty=DUTY)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from machine_folders import csv_text, write_files
+from machine_folders import campaign_of_frames, csv_text, write_files
 from simulated_hall import MACHINE, campaign_toml, machine_toml, measured_hall, temperature_text, tracker_rows
 from typer.testing import CliRunner
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.cli.main import app
-from thetacomp.reading import campaign_from_frames, check_folder, read_folder
+from thetacomp.reading import check_folder, read_folder
 
 DAY = "campaigns/2026-03-02"
 PLANNED = ("t_s", "station", "target", "axis", "position_mm", "at_X_mm", "at_Y_mm", "at_Z_mm", "at_W_mm", "direction")
@@ -82,7 +82,7 @@ def test_frames_give_the_same_as_files(tmp_path, seen):
         frame[f"{letter}_mm"] = frame[f"{letter}_mm"].astype(float)
     folder = read_folder(write_files(tmp_path, files(seen)))
     clock = folder.campaigns[0].temperatures
-    campaign = campaign_from_frames(
+    campaign = campaign_of_frames(
         MACHINE,
         "day",
         temperatures=pd.DataFrame({"t_s": clock.t_s, "t1": clock.value_degC[:, 0]}),

@@ -19,9 +19,10 @@ from synthetic_analysis import (
 )
 
 from thetacomp.analysis_result import Analysis
-from thetacomp.report import style, tables, write_report
-from thetacomp.report.page import render_page
-from thetacomp.report.rendering import inline_svg, missing_note, render
+from thetacomp.files import write_files
+from thetacomp.report import style, tables
+from thetacomp.report.page import render_page, report_files
+from thetacomp.report.rendering import Drawings, inline_svg, missing_note, render
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}
 
@@ -61,13 +62,13 @@ def outline(html: str) -> Outline:
 
 def page_of(analysis: Analysis) -> str:
     """The page without its figures: fast, for tests of tables and words."""
-    return render_page(analysis, [], [], [])
+    return render_page(analysis, Drawings())
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[tuple[Path, ...], str]:
     out = tmp_path_factory.mktemp("report")
-    paths = write_report(nasty_names_analysis(), out)
+    paths = write_files(out, report_files(nasty_names_analysis()))
     return paths, paths[0].read_text(encoding="utf-8")
 
 
@@ -143,7 +144,7 @@ def test_letters_without_a_font_give_one_clear_note(
     analysis = replace(analysis, folder=replace(analysis.folder, machine=machine))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        paths = write_report(analysis, tmp_path)
+        paths = write_files(tmp_path, report_files(analysis))
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.count("note:") == 1

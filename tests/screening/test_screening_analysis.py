@@ -21,13 +21,14 @@ from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.examples import TK6920
+from thetacomp.files import write_files
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading import read_folder
-from thetacomp.report.analysis_files import write_tables
+from thetacomp.report.analysis_files import table_files
 from thetacomp.report.figures_screening import screened_channels
 from thetacomp.report.figures_temperature import temperatures_over_time
 from thetacomp.report.page import render_page
-from thetacomp.report.rendering import render
+from thetacomp.report.rendering import Drawings, draw
 from thetacomp.screening import with_fault
 from thetacomp.screening.campaigns import ScreenedFolder, screened
 from thetacomp.screening.faults import InjectedKind
@@ -263,7 +264,7 @@ def test_a_fault_that_began_before_the_campaign_is_repaired_in_an_unbroken_recor
 
 
 def test_the_table_and_the_page_hold_the_evidence(tmp_path: Path) -> None:
-    write_tables(analysis("jump"), tmp_path)
+    write_files(tmp_path, table_files(analysis("jump")))
     with (tmp_path / "screening.csv").open(encoding="utf-8", newline="") as file:
         (row,) = [row for row in csv.DictReader(file) if row["fault"] == "jump"]
     assert (row["campaign"], row["sensor"], row["done"], row["end_s"]) == (FAULTY, SENSOR, "shifted back", "")
@@ -272,11 +273,11 @@ def test_the_table_and_the_page_hold_the_evidence(tmp_path: Path) -> None:
     assert float(row["statistic"]) > float(row["threshold"])
     assert 0.0 < float(row["u_K"]) < 0.1
     assert SENSOR not in row["repaired_from"].split()
-    write_tables(analysis("jump", repair=False), tmp_path)
+    write_files(tmp_path, table_files(analysis("jump", repair=False)))
     with (tmp_path / "screening.csv").open(encoding="utf-8", newline="") as file:
         assert {row["done"] for row in csv.DictReader(file)} == {"none"}
     pages = {
-        repair: render_page(result, figures, [render(f) for f in figures], [])
+        repair: render_page(result, draw(figures))
         for repair, result, figures in (
             (repair, result, screened_channels(result))
             for repair, result in ((True, analysis("jump")), (False, analysis("jump", repair=False)))
@@ -287,7 +288,7 @@ def test_the_table_and_the_page_hold_the_evidence(tmp_path: Path) -> None:
     assert "used the repaired values" in pages[True]
     assert "Repair was switched off" in pages[False]
     assert f'id="screening_{FAULTY}_{SENSOR}"' in pages[True]
-    healthy_page = render_page(analysis("healthy"), [], [], [])
+    healthy_page = render_page(analysis("healthy"), Drawings())
     assert "Faulty readings" not in healthy_page
 
 

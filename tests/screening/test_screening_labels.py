@@ -54,6 +54,8 @@ def test_a_displacement_frozen_while_the_machine_cools_is_left_out_and_counted()
     out, (entry,) = without_held_labels(frozen(cooling()))
     assert np.flatnonzero(np.isnan(drift_um(out)[:, 0])).tolist() == list(range(BEGIN + 1, END))
     assert np.isfinite(drift_um(out)[:, 1:]).all()
+    assert out.drift is not None
+    assert out.drift.rotation_urad is None
     assert (entry.table, entry.column, entry.count) == ("drift", "dX_um", END - BEGIN - 1)
     assert labels_note(entry, True) == (
         "campaign c, drift: 35 values of dX_um are frozen (2.58 to 5.42 h) while the machine stands and its"

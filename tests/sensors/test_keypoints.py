@@ -9,10 +9,11 @@ from scipy import stats
 from thetacomp.arrays import Floats, Ints
 from thetacomp.campaign import CorrelationTable
 from thetacomp.errors import AnalysisError
+from thetacomp.folds import fold_numbers
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.sensors import strategies
 from thetacomp.sensors.correlation import correlations, effective_count, full_symmetric, p_value
-from thetacomp.sensors.holdout import HoldOut, folds, line_targets
+from thetacomp.sensors.holdout import HoldOut, line_targets
 from thetacomp.sensors.key_points import AxisKeyPoints
 from thetacomp.sensors.parameters import INTERCEPT, SLOPE, Parameter, ParameterTable, correlation_tables
 from thetacomp.sensors.selection import (
@@ -180,7 +181,7 @@ def test_hold_out_error_equals_the_plain_way() -> None:
     value[[3, 17], [0, 1]] = np.nan
     states = table(value, rise, campaign)
     target, owner = line_targets(states, [True, True])
-    hold_out = HoldOut(rise, target, owner, folds(campaign).index)
+    hold_out = HoldOut(rise, target, owner, fold_numbers(campaign).index)
     lever_m = np.linspace(-1.0, 1.0, 2001)
     squares = []
     for out in range(4):
@@ -194,10 +195,10 @@ def test_hold_out_error_equals_the_plain_way() -> None:
 
 
 def test_what_is_held_out() -> None:
-    assert folds(np.array([3, 3, 7])).index.tolist() == [0, 0, 1]
-    assert folds(np.zeros(8, dtype=np.int64)).index.tolist() == list(range(8))
-    long = folds(np.zeros(1000, dtype=np.int64))
-    assert np.bincount(long.index).tolist() == [100] * 10
+    assert fold_numbers(np.array([3, 3, 7])).index.tolist() == [0, 0, 1]
+    assert fold_numbers(np.zeros(8, dtype=np.int64)).index.tolist() == list(range(8))
+    long = fold_numbers(np.zeros(1000, dtype=np.int64))
+    assert np.bincount(long.index).tolist() == [200] * 5
     assert (np.diff(long.index) >= 0).all()
 
 

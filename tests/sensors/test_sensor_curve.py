@@ -21,10 +21,11 @@ from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
+from thetacomp.files import write_files
 from thetacomp.machine import Machine, Sensor
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.moments import summarise
-from thetacomp.report.analysis_files import write_tables
+from thetacomp.report.analysis_files import table_files
 from thetacomp.report.figures_sensors import accuracy_over_sensors
 from thetacomp.sensors.sensor_curve import campaign_summaries, enough, sensor_curve
 from thetacomp.sensors.subset import best_subset
@@ -180,7 +181,7 @@ def test_enough_is_the_fewest_within_five_percent() -> None:
 
 def test_analyze_writes_the_curve_and_draws_it(tmp_path: Path) -> None:
     analysis = analyze_folder(folder(1, 2, 3))
-    write_tables(analysis, tmp_path)
+    write_files(tmp_path, table_files(analysis))
     with (tmp_path / "sensor_curve.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["count"] for row in rows if row["sensors"]] == ["1", "2", "3", "4"]
@@ -196,8 +197,7 @@ def test_analyze_writes_the_curve_and_draws_it(tmp_path: Path) -> None:
     assert right.get_title(loc="left") == "campaigns drawn anew 200 times"
 
 
-def test_no_curve_and_no_compiler_where_campaigns_are_too_few() -> None:
-    """An analysis with one campaign an axis must not load Numba, which costs seconds."""
+def test_no_curve_where_campaigns_are_too_few() -> None:
     code = (
         "import sys\n"
         "from importlib.resources import files\n"

@@ -13,9 +13,6 @@ from thetacomp.sensors import subset as module
 from thetacomp.sensors._subset_bounds import branch
 from thetacomp.sensors.subset import accuracy_curve, best_subset, best_subset_per_target, selection_frequency
 
-# The first search on a machine compiles the kernels.
-pytestmark = pytest.mark.timeout(600)
-
 SCORES = ("residual", "held_out", "worst_campaign")
 
 
@@ -99,9 +96,9 @@ def test_equals_brute_force(seed, score):
 def poor_start(monkeypatch):
     """Start the exact search from the last k columns, so that it has to find every better subset itself."""
 
-    def last_columns(products, k, usable, best):
-        best[:] = usable[-k:]
-        return kernel.score(products, best, inf, *kernel.workspace(products, k))
+    def last_columns(best):
+        k, p = len(best.subset), len(best.products.gram)
+        best.offer(np.arange(p - k, p)[None])
 
     monkeypatch.setattr(kernel, "local_search", last_columns)
 
@@ -114,8 +111,7 @@ def test_equals_brute_force_from_a_poor_start(poor_start, seed, score):
     assert best_subset(summaries(rows), k, score=score).sensors == brute_force(rows, k, score)[0]
 
 
-def test_of_equal_subsets_found_by_two_threads_the_one_listed_first_wins(poor_start, monkeypatch):
-    monkeypatch.setattr(module.os, "cpu_count", lambda: 2)
+def test_of_equal_subsets_the_one_listed_first_wins_whatever_the_search_begins_with(poor_start):
     rows = problem(31, 7, q=1, noise=0.1)
     for x, y in rows:
         x[:, 2] = x[:, 1]
@@ -128,15 +124,11 @@ def test_closed_form_of_pairs_equals_numpy():
         summaries(rows := problem(32, 8)), module._weights(merge(summaries(rows)), None), "residual"
     )
     gram, joint = products.gram, products.mixed @ products.mixed.T
-    lead, own = gram[0] / gram[0, 0], np.diag(gram) - gram[0] ** 2
-    part = joint[0] - lead * joint[0, 0]
-    joint_own = np.diag(joint) - lead * (joint[0] + part)
-    gains, after = np.empty(5), slice(3, 8)
-    first = (lead[2], part[2], own[2], joint_own[2])
-    kernel._row_gains(
-        gram[2, after], joint[2, after], gram[0, after], joint[0, after], lead[after], own[after], joint_own[after],
-        first, 0.0, gains,
-    )  # fmt: skip
+    lead = gram[0] / gram[0, 0]
+    left, joint_left = gram - np.outer(lead, gram[0]), joint - np.outer(lead, joint[0])
+    joint_left -= np.outer(joint_left[:, 0], lead)
+    margins = kernel.pair_margins(left[None], joint_left[None], np.zeros(1), np.zeros(1))[0]
+    gains = margins[2, 3:] / (left[2, 2] * np.diag(left)[3:] - left[2, 3:] ** 2)
     y = products.mixed
     for j, gain in zip(range(3, 8), gains, strict=True):
         c = [0, 2, j]
@@ -222,9 +214,9 @@ def test_no_bound_of_a_node_lies_above_the_best_of_its_subsets(seed, score):
     spread = ((everything[1] - everything[1].mean(axis=0)) ** 2).sum(axis=0)
     tight = []
     for _ in range(2):
-        children, bounds = np.empty((len(nodes) * 9, 11), dtype=np.int32), np.empty(len(nodes) * 9)
-        number = branch(products, k, nodes, given, inf, children, bounds)
-        for child, bound in zip(children[:number], bounds[:number], strict=True):
+        split = [branch(products, k, nodes[group], given[group], inf) for group in kernel.alike(nodes)]
+        nodes, given = np.concatenate([n for n, _ in split]), np.concatenate([b for _, b in split])
+        for child, bound in zip(nodes, given, strict=True):
             chosen, free = child[2 : 2 + child[0]], child[2 + child[0] : 2 + child[0] + child[1]]
             left = [
                 np.mean(fit_squares(everything, everything, [*chosen, *added]) / spread)
@@ -233,7 +225,6 @@ def test_no_bound_of_a_node_lies_above_the_best_of_its_subsets(seed, score):
             assert bound <= min(left) + 1e-12
             whole = fit_squares(everything, everything, [*chosen, *free]) / spread
             tight.append(abs(bound - np.mean(whole)) < 1e-6)
-        nodes, given = children[:number].copy(), bounds[:number].copy()
     assert np.mean(tight) > 0.9
 
 
@@ -241,15 +232,26 @@ def test_no_subset_is_forgotten_where_nothing_is_pruned():
     campaigns = summaries(problem(18, 10))
     products, _ = module._products(campaigns, module._weights(merge(campaigns), None), "residual")
     root = np.array([[0, 10, *range(10)]], dtype=np.int32)
-    children, bounds = np.empty((10, 12), dtype=np.int32), np.empty(10)
-    number = branch(products, 5, root, np.zeros(1), inf, children, bounds)
-    assert sum(comb(int(free), 4) for free in children[:number, 1]) == comb(10, 5)
+    children, bounds = branch(products, 5, root, np.zeros(1), inf)
+    assert len(children) == len(bounds) == 6
+    assert sum(comb(int(free), 4) for free in children[:, 1]) == comb(10, 5)
     for k in (2, 3):
-        compared = sum(
-            kernel.search(products, k, root, np.zeros(1), first, 2, np.zeros(k, np.int64), inf, np.array([inf]))[1]
-            for first in range(2)
-        )
-        assert compared == comb(10, k)
+        best = kernel.Incumbent(products, k)
+        assert kernel.compare(root, k, best) == comb(10, k)
+        waiting = np.concatenate([subsets for subsets, _ in best._waiting])
+        assert len({frozenset(subset) for subset in waiting.tolist()}) == len(waiting) == comb(10, k)
+
+
+def test_no_subset_of_dependent_columns_scores_under_the_bound_of_its_node():
+    rows = problem(33, 9)
+    for x, _ in rows:
+        x[:, 4], x[:, 7] = x[:, 0] - x[:, 1], x[:, 2]
+    campaigns = summaries(rows)
+    products, _ = module._products(campaigns, module._weights(merge(campaigns), None), "residual")
+    children, bounds = branch(products, 5, np.array([[0, 9, *range(9)]], dtype=np.int32), np.zeros(1), inf)
+    for child, bound in zip(children, bounds, strict=True):
+        below = np.sort([[child[2], *rest] for rest in combinations(child[3 : 3 + child[1]], 4)], axis=1)
+        assert (kernel.scores(products, below) >= bound).all()
 
 
 def test_weights_in_um_decide_which_target_counts():
@@ -346,18 +348,18 @@ def test_selection_frequency_is_the_share_over_resampled_campaigns():
     np.testing.assert_allclose(found.share, counts / 20)
 
 
-@pytest.mark.parametrize("score", SCORES[1:])
-def test_filter_of_a_row_is_a_tight_lower_limit(score):
+@pytest.mark.parametrize("score", SCORES)
+def test_scores_of_many_subsets_equal_those_of_each_alone_and_a_limit_spares_only_worse_ones(score):
     campaigns = summaries(problem(16, 10, q=3))
-    weights = module._weights(merge(campaigns), None)
-    products, _ = module._products(campaigns, weights, score)
-    folds = (np.empty((4, 4)), np.empty((4, 3, 3)), np.empty((4, 3, 10)), np.empty((5, 10)))
-    shared, last = np.array([7, 1, 4]), np.array([0, 2, 3, 5, 6, 8, 9])
-    bounds = np.zeros(len(last))
-    kernel.row_held_out(products, shared, last, inf, folds, bounds)
-    exact = [kernel.score(products, np.sort([*shared, j]), inf, *kernel.workspace(products, 4)) for j in last]
-    assert (bounds <= exact).all()
-    np.testing.assert_allclose(bounds, exact, rtol=1e-9)
+    products, _ = module._products(campaigns, module._weights(merge(campaigns), None), score)
+    subsets = np.array(list(combinations(range(10), 4)))
+    exact = kernel.scores(products, subsets)
+    alone = [kernel.scores(products, subset[None])[0] for subset in subsets]
+    np.testing.assert_allclose(exact, alone, rtol=1e-12)
+    limit = float(np.median(exact))
+    limited = kernel.scores(products, subsets, limit)
+    np.testing.assert_array_equal(limited <= limit, exact <= limit)
+    np.testing.assert_array_equal(limited[exact <= limit], exact[exact <= limit])
 
 
 def test_what_cannot_be_chosen_is_said():

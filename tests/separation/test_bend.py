@@ -19,6 +19,7 @@ from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.files import write_files
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.fitting.key_point_law import fit_axis
@@ -31,7 +32,7 @@ from thetacomp.model.load import load_model
 from thetacomp.model.prediction import predict
 from thetacomp.model.volume import Part, ThermalParts, volume_error
 from thetacomp.model.volumetric import predict_volume
-from thetacomp.report.analysis_files import write_tables
+from thetacomp.report.analysis_files import table_files
 from thetacomp.separation import ComponentSeparation, separate_all, separate_campaign
 from thetacomp.separation.component import mean_square_m2
 from thetacomp.separation.forms import bent_components
@@ -319,7 +320,7 @@ def test_the_stored_bend_is_predicted_at_every_position(analysis: Analysis, tmp_
 
 
 def test_the_separated_bend_is_written_beside_the_line(analysis: Analysis, tmp_path: Path) -> None:
-    write_tables(analysis, tmp_path)
+    write_files(tmp_path, table_files(analysis))
     lines = (tmp_path / "separation.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0].endswith("bend_um_per_m2,bend_se_um_per_m2")
     assert all(not line.endswith(",,") for line in lines[1:])

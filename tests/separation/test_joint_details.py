@@ -9,7 +9,7 @@ import pytest
 from rigid_machine import AXES, MACHINE, NAMES, P0_MM, REFERENCE_S, ROUND_S, STAND_MM, Rigid, draw_rigid, measure
 
 from thetacomp.campaign import Campaign, Drift, Parameters, SweepPoints
-from thetacomp.separation import ComponentSeparation
+from thetacomp.separation import ComponentSeparation, separate_all
 from thetacomp.separation.joint_form import separate_joint, why_not_joint
 
 TAU_S = 7200.0
@@ -97,6 +97,15 @@ def test_an_axis_whose_sweeps_see_another_drift_is_named_with_both_figures() -> 
     assert "(RMS; chance alone: 0)" in told
     assert sum("see a drift" in note for note in notes) <= 3
     assert not any("see a drift" in note for note in by_name(campaign)["DX"].notes)
+    coarse = measure(drifting(), np.random.default_rng(1), point_sd_um=8.0)
+    points = points_of(coarse)
+    error = points.error_um.copy()
+    error[(np.array(points.axis) == "Y") & (points.t_s > REFERENCE_S), 0] += 90.0
+    drift = by_name(replace(coarse, sweeps=replace(points, error_um=error)))["DX"]
+    (told,) = (note for note in drift.notes if note.startswith("the sweeps along Y see a drift"))
+    chance_um = np.sqrt(2.0 * np.mean(drift.intercept_se_um[~drift.cold] ** 2))
+    assert f"chance alone: {chance_um:.0f})" in told
+    assert chance_um > 3.0
 
 
 def test_a_tilt_is_a_slope_of_its_axis_and_no_drift() -> None:
@@ -152,6 +161,28 @@ def test_angles_come_back_with_a_drift_of_their_own() -> None:
     blind = points.rotation_urad.copy()
     blind[np.array(points.axis) == "Y", 1] = np.nan
     assert not separate_joint(MACHINE, replace(campaign, sweeps=replace(points, rotation_urad=blind))).angles
+
+
+def test_too_few_good_looks_leave_the_sweeps_alone() -> None:
+    """Five looks, one of them off by 300 µm: four are left, and the drift is that of the sweeps."""
+    rigid = drifting()
+    campaign = quiet(rigid, rounds=6)
+    t_s = ROUND_S * np.arange(1.0, 6.0) + 2100.0
+    error = np.array([rigid.tool(STAND_MM, warmth)[:3] for warmth in rigid.warmth(t_s)])
+    error[2] += 300.0
+    record = Drift(t_s, error, None, {name: np.full(5, p) for name, p in STAND_MM.items()})
+    plain, found = by_name(campaign)["DX"], by_name(replace(campaign, drift=record))["DX"]
+    np.testing.assert_array_equal(found.intercept_um, plain.intercept_um)
+    assert "drift.csv is left out: 4 good readings are left, at least 5 are needed" in found.notes
+
+
+def test_every_campaign_says_its_own_reason() -> None:
+    """One has no positions, the other another tool: the first keeps its reason, the second gets that of the tool."""
+    rigid = drifting()
+    without, longer = quiet(rigid, name="a", at=False, rounds=3), quiet(rigid, name="b", rounds=3)
+    longer = replace(longer, settings=longer.settings.model_copy(update={"tool_length_mm": 500.0}))
+    note = next(n for n in separate_all(MACHINE, [without, longer]).notes if n.startswith("positions of other axes"))
+    assert "(a: at_X_mm is not given at every point of the other axes; b: the tool lengths differ" in note
 
 
 def test_a_record_whose_places_are_missing_in_part_is_left_out() -> None:

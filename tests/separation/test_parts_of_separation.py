@@ -31,7 +31,7 @@ from thetacomp.separation.geometry import (
 )
 from thetacomp.separation.joint import ComponentData, find_outliers, fit_component, shape_change, state_weights
 from thetacomp.separation.reference import cold_block_change_K, drift_window, reference_time_s
-from thetacomp.separation.shares import between_nodes
+from thetacomp.separation.shares import AxisFit, axis_share_um, between_nodes
 
 
 def heat(*rows: tuple[float, float]) -> Temperatures:
@@ -77,7 +77,7 @@ def test_the_cold_block_warms_from_its_first_point_to_the_reference() -> None:
     assert cold_block_change_K(drift, 900.0) == pytest.approx([0.0])
 
 
-@pytest.mark.parametrize(("reference_s", "refused"), [(3600.0, False), (3601.0, True), (4798.0, True), (4799.0, False)])
+@pytest.mark.parametrize(("reference_s", "refused"), [(3600.0, False), (3601.0, True), (4798.9, True), (4799.0, False)])
 def test_a_reference_may_touch_a_sweep_but_not_cut_it(reference_s: float, refused: bool) -> None:
     """Sweeps run from 0 to 1200 and from 3600 to 4800 s; one second belongs to rounding."""
     campaign, _ = measured_campaign(np.random.default_rng(9), sweeps=4)
@@ -298,6 +298,22 @@ def test_a_change_of_shape_is_fitted_with_its_error_and_the_geometry_stays_that_
     assert shape_change(replace(bent, bent=True), fit_component(replace(bent, bent=True))).terms == 3
 
 
+def test_what_an_axis_adds_at_any_place_and_time() -> None:
+    """G(p) - G(P0) + S u + C u²; at the middle of sweep 2 S = 8 and C = 6, and beyond the ends the geometry holds."""
+    bend = 3.0 * SWEEP * LEVER**2
+    clean = noisy(1e-3, bent=True)
+    fit = fit_component(replace(clean, error_um=clean.error_um + bend))
+    separation = SimpleNamespace(direction="Y", reference_s=0.0)
+    fitted = AxisFit(clean, fit, separation)  # type: ignore[arg-type]
+    place = np.array([0.0, 250.0, 500.0, 1000.0, 1300.0])
+    share = axis_share_um([fitted], "XYZ", np.full(5, clean.middle_s[2]), place)
+    u = (place - 500.0) / 1000.0
+    geometry = 5.0 * np.minimum(np.abs(u), 0.5) ** 2
+    np.testing.assert_allclose(share[:, 1], geometry + 8.0 * u + 6.0 * u**2, atol=0.02)
+    assert not share[:, [0, 2]].any()
+    assert fitted.constant_um == pytest.approx(0.0, abs=0.01)
+
+
 # --- separated campaigns ----------------------------------------------------------------------------------------------
 
 
@@ -450,6 +466,7 @@ def test_the_drift_of_a_common_datum_has_no_cold_state() -> None:
         assert dx.cold.tolist() == cold
         assert dx.zero_t_s.tolist() == [0.0]
         assert (dx.cold_intercept_um, dy.component) == ((7.0 if datum == "campaign" else 0.0), "DY")
+        assert (dx.p0_mm, dx.p_min_mm, dx.p_max_mm) == (0.0, 0.0, 0.0)
 
 
 # --- bent components --------------------------------------------------------------------------------------------------
@@ -486,6 +503,9 @@ def test_the_size_of_a_bend_is_told_at_the_farther_end_of_the_travel() -> None:
     (s,) = found.components
     assert s.bend_um_per_m2 is not None
     np.testing.assert_allclose(s.bend_um_per_m2, [0.0, 20.0, 40.0, 60.0], atol=0.5)
+    # The best line of C u² over -1.5 to 0.9 m is higher at P0 by C times the mean of u².
+    lift_um = s.bend_um_per_m2 * (1.5**2 - 1.5 * 0.9 + 0.9**2) / 3.0
+    np.testing.assert_allclose(s.line_intercept_um - s.intercept_um, lift_um)
     size_um = 20.0 * np.sqrt(14.0 / 3.0) * 1.5**2
     assert f"EXY: heat bends the line, by {size_um:.0f} µm at the ends" in found.notes[-1]
     assert found.form == "separate"
@@ -506,7 +526,7 @@ def test_a_look_is_two_minutes_long_and_ends_where_an_axis_moves() -> None:
 
 def test_the_scatter_of_looks_is_that_of_their_steps() -> None:
     """Steps of ±3: √(9 / 2). A gross step is cut at three robust standard deviations."""
-    value = np.array([0.0, 3.0, 0.0, 3.0, 0.0, 3.0])
+    value = np.array([0.0, 3.0, 0.0, 3.0, 0.0])
     assert scatter(value) == pytest.approx(3.0 / np.sqrt(2.0))
     limit = 3.0 * 1.4826 * 3.0
     gross = np.array([0.0, 3.0, 0.0, 3.0, 0.0, 900.0])

@@ -12,19 +12,20 @@ from small_models import Part, component, document, term
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.campaign import Campaign, CampaignSettings, LeadIn, MachineFolder
+from thetacomp.fitting.training import train
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.fallback import DECAY_S
 from thetacomp.model.temperatures import Duty, Temperatures
+from thetacomp.preparation import Prepared, prepare
 from thetacomp.screening.model import ScreeningModel
 from thetatwin.campaigns import Twin, plan_campaigns, run_campaign
 from thetatwin.conditions import Conditions
 from thetatwin.trial import live as live_module
-from thetatwin.trial.calibration import Calibration, calibrate, stored_models
+from thetatwin.trial.clock import clock_error_um
 from thetatwin.trial.live import LiveReadings, live_error_um, live_readings
 from thetatwin.trial.loop import (
     Deviation,
     MeasuringPlan,
-    clock_error_um,
     column_deviation_um,
     summaries,
     verify_machine,
@@ -165,14 +166,14 @@ def test_what_came_before_is_joined_by_the_names_of_the_sensors() -> None:
 
 
 @pytest.fixture(scope="module")
-def rigid() -> tuple[Rigid, Calibration]:
+def rigid() -> tuple[Rigid, Prepared]:
     """A machine of rigid bodies whose guides do not twist, taught by three campaigns in the joint form."""
     rng = np.random.default_rng(7)
     machine = draw_rigid(rng, turning=False)
     heats = zip("abc", ((4000.0, 16000.0), (9000.0, 11000.0), (6000.0, 14000.0)), strict=True)
     campaigns = [measure(replace(machine, tau_s=tau), rng, name, point_sd_um=1.0) for name, tau in heats]
     folder = MachineFolder(MACHINE, tuple(campaigns))
-    return replace(machine, tau_s=(6000.0, 14000.0)), calibrate(folder, list("abc"), ("Y",), screening=False)
+    return replace(machine, tau_s=(6000.0, 14000.0)), prepare(folder, faults="ignore")
 
 
 def left_over(found: np.ndarray, true: np.ndarray) -> float:
@@ -180,24 +181,25 @@ def left_over(found: np.ndarray, true: np.ndarray) -> float:
     return float((np.sqrt(np.mean((true - found) ** 2, axis=0)) / np.sqrt(np.mean(true**2, axis=0))).max())
 
 
-def test_drift_is_counted_once_by_the_models_and_by_the_clock(rigid: tuple[Rigid, Calibration]) -> None:
-    machine, taught = rigid
-    campaign = taught.folder.campaign("c")
-    assert taught.separated.form == "joint"
+def test_drift_is_counted_once_by_the_models_and_by_the_clock(rigid: tuple[Rigid, Prepared]) -> None:
+    machine, prepared = rigid
+    campaign = prepared.folder.campaign("c")
+    assert prepared.separated.form == "joint"
     t_s = np.repeat(np.linspace(7200.0, 22000.0, 12), 3)
     y_mm = np.tile([0.0, 800.0, 1600.0], 12)
     true = np.array([machine.thermal({**P0_MM, "Y": y}, t)[:3] for t, y in zip(t_s, y_mm, strict=True)])
     middle = y_mm == P0_MM["Y"]  # all of the error is drift there
     there = {"X": np.full(36, P0_MM["X"]), "Y": y_mm, "W": np.full(36, P0_MM["W"])}
     live = live_readings(campaign, None)
-    model, paper_model = stored_models(taught)
-    for one, most in ((model, 0.15), (paper_model, 0.6)):
+    trained = train(prepared, ("Y", ""), lost=())
+    for one, most in ((trained.model, 0.15), (trained.paper_model, 0.6)):
         found = live_error_um(one, live, t_s, there, REFERENCE_S)
         assert left_over(found, true) < most
         assert left_over(found[middle], true[middle]) < most
     assert campaign.sweeps is not None
     cold_s = campaign.sweeps.t_s[campaign.sweeps.t_s <= REFERENCE_S].mean()
-    timed = clock_error_um(taught, (t_s - cold_s) / 3600.0, y_mm)
+    column = [states for states in prepared.training if states.axis in ("Y", "")]
+    timed = clock_error_um(column, (t_s - cold_s) / 3600.0, {"Y": y_mm})
     assert left_over(timed, true) < 0.6
     assert left_over(timed[middle], true[middle]) < 0.6
 
@@ -231,7 +233,8 @@ def test_the_models_are_those_that_analyze_stores(monkeypatch: pytest.MonkeyPatc
     assert analysis.screening is not None
     assert ("b", "t4") in {(name, finding.sensor) for name, finding in analysis.screening.findings}
     lost = "t1"
-    model, paper_model = stored_models(calibrate(folder, list("abcd"), ("Y",)), {lost})
+    trained = train(prepare(folder, mix=True), ("Y", ""), {lost})
+    model, paper_model = trained.model, trained.paper_model
     told = {"held_out_um": None}
     for made, stored in ((model, analysis.model), (paper_model, analysis.paper_model)):
         assert made.form == stored.form == "joint"

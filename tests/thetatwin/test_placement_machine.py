@@ -19,7 +19,7 @@ from thetatwin import picture, sensor_places, snapshots, virtual
 from thetatwin.conditions import Conditions
 from thetatwin.mesh import mesh_body
 from thetatwin.mounting import Mounting, candidates, load_mounting
-from thetatwin.picture import Mark, machine_figure, save_figure, sensor_marks, warm_machine
+from thetatwin.picture import Mark, figure_content, machine_figure, sensor_marks, warm_machine
 from thetatwin.sensor_places import Placement, place_sensors
 from thetatwin.virtual import VirtualMachine
 
@@ -234,7 +234,7 @@ def test_svg_of_a_picture_repeats(
 ) -> None:
     shown = warm_machine(coarse, placed.warm_rise_K, placed.warm_rise_K, MIDDLE, 150.0)
     for name in ("a.svg", "b.svg"):
-        save_figure(machine_figure(shown, "title", sensor_marks(coarse)), tmp_path / name)
+        (tmp_path / name).write_bytes(figure_content(machine_figure(shown, "title", sensor_marks(coarse)), name))
     text = (tmp_path / "a.svg").read_text(encoding="utf-8")
     assert text == (tmp_path / "b.svg").read_text(encoding="utf-8")
     assert "data:image/png;base64" in text

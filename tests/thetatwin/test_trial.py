@@ -14,14 +14,17 @@ from synthetic_analysis import sweeps_analysis
 from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
+from thetacomp.files import write_files
 from thetacomp.model.temperatures import Temperatures
+from thetacomp.preparation import Prepared
 from thetacomp.screening import Finding
+from thetacomp.separation import Separated
 from thetatwin.campaigns import Twin
 from thetatwin.conditions import Tracker
 from thetatwin.hall import DAY_S
 from thetatwin.trial.figures import month_by_month
 from thetatwin.trial.monthly import TOOL, acceptance, by_hour, monthly
-from thetatwin.trial.page import _Told, write_trial
+from thetatwin.trial.page import _Told, trial_files
 from thetatwin.trial.probing import Course, adapt
 from thetatwin.trial.readings import ScreenedMonth, ScreenedYear
 from thetatwin.trial.run import (
@@ -222,14 +225,15 @@ def test_where_the_model_changes_the_output_goes_on_without_a_bump(
 def test_the_model_without_a_lost_sensor_is_made_once_and_does_not_read_it(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[tuple[str, ...]] = []
 
-    def fit(folder: Any) -> Any:
-        made.append(folder.campaigns[0].temperatures.sensor_ids)
+    def fit(prepared: Prepared, lost: Any) -> Any:
+        made.append(prepared.folder.campaigns[0].temperatures.sensor_ids)
         return SimpleNamespace(model=f"number {len(made)}")
 
     monkeypatch.setattr("thetatwin.trial.run.train", fit)
     folder = sweeps_analysis().folder
     ids = folder.campaigns[0].temperatures.sensor_ids
-    ready, lost = Ready(folder, "whole"), frozenset(ids[1:2])  # type: ignore[arg-type]
+    prepared = Prepared(folder, (folder.campaigns[0].name,), (), None, Separated("separate", ()), (), (), ())
+    ready, lost = Ready(prepared, "whole"), frozenset(ids[1:2])  # type: ignore[arg-type]
     assert ready.without(frozenset()) == "whole"
     assert ready.without(lost) == ready.without(lost) == "number 1"
     assert made == [ids[:1] + ids[2:]]
@@ -265,7 +269,7 @@ def test_a_short_trial_from_end_to_end(twin: Twin, tmp_path: Path) -> None:
     assert tool[ADAPTIVE].reduction_percent > 75.0
     assert tool[FROZEN].reduction_percent > 70.0
     assert tool[ADAPTIVE].reduction_percent > tool[ONE_SENSOR].reduction_percent + 5.0
-    paths = write_trial(trial, rows, acceptance(rows), tmp_path / "out")
+    paths = write_files(tmp_path / "out", trial_files(trial, rows, acceptance(rows)))
     with paths[1].open(encoding="utf-8") as file:
         assert len(list(csv.DictReader(file))) == 1 * 6 * 4
     page = paths[0].read_text(encoding="utf-8")

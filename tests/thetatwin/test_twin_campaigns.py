@@ -16,7 +16,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.reading import check_folder, read_folder
 from thetatwin.campaigns import Record, Twin, make_twin, plan_campaigns, run_campaign
 from thetatwin.conditions import load_conditions
-from thetatwin.picture import draw_machine
+from thetatwin.picture import campaign_figure, figure_content
 from thetatwin.virtual import VirtualMachine
 from thetatwin.writer import truth_folder, write_twin
 
@@ -134,15 +134,14 @@ def test_the_hard_preset_changes_the_cooling_and_breaks_sensors(coarse: VirtualM
 
 
 def test_the_picture_is_drawn_without_a_display(
-    coarse: VirtualMachine, written: tuple[Path, tuple[Record, ...]], tmp_path: Path
+    coarse: VirtualMachine, written: tuple[Path, tuple[Record, ...]]
 ) -> None:
-    draw_machine(coarse, written[1][0], 150.0, tmp_path / "machine.png", tmp_path / "machine.svg")
-    draw_machine(coarse, written[1][0], 150.0, tmp_path / "again.png")
-    data = (tmp_path / "machine.png").read_bytes()
+    figure = campaign_figure(coarse, written[1][0], 150.0)
+    data = figure_content(figure, "machine.png")
     assert data.startswith(b"\x89PNG")
     assert len(data) > 50_000
-    assert data == (tmp_path / "again.png").read_bytes()
-    assert "Displacement since cold" in (tmp_path / "machine.svg").read_text(encoding="utf-8")
+    assert data == figure_content(campaign_figure(coarse, written[1][0], 150.0), "again.png")
+    assert "Displacement since cold" in figure_content(figure, "machine.svg").decode()
 
 
 def test_the_command_refuses_a_filled_folder_and_an_unknown_preset_at_once(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from thetatwin import picture
 from thetatwin.campaigns import DAYS_BEFORE, Record, Twin, plan_campaigns, run_campaign
 from thetatwin.conditions import LONGEST_LEAD_H, load_conditions
 from thetatwin.duty import MINUTES_A_DAY
-from thetatwin.picture import draw_machine
+from thetatwin.picture import campaign_figure, figure_content
 from thetatwin.writer import truth_folder, write_twin
 
 DAY_S = 86400.0
@@ -103,12 +103,11 @@ def test_the_folder_holds_the_day_before_apart_from_the_campaign(
 
 
 def test_the_picture_shows_the_end_of_the_campaigns_own_work(
-    records: tuple[Record, Record], twin: Twin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    records: tuple[Record, Record], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(picture, "_PIXELS", 160)
-    for record, name in zip(records, ("plain.png", "early.png"), strict=True):
-        draw_machine(twin.machine, record, 150.0, tmp_path / name)
-    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "early.png").read_bytes()
+    plain, early = (figure_content(campaign_figure(twin.machine, r, 150.0), "machine.png") for r in records)
+    assert plain == early
 
 
 def test_more_cold_rounds_make_a_longer_cold_block(twin: Twin) -> None:

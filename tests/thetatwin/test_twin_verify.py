@@ -16,7 +16,7 @@ from thetacomp.model.volumetric import predict_volume
 from thetacomp.reading import read_folder
 from thetacomp.verification import verify_folder
 from thetatwin.campaigns import Correction, Record, Twin, plan_campaigns, run_campaign
-from thetatwin.trial.training import spindle_duty
+from thetatwin.operation import spindle_duty
 from thetatwin.writer import write_campaign, write_twin
 
 

@@ -16,20 +16,22 @@ from thetacomp.analysis import analyze_folder
 from thetacomp.arrays import Floats
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.folds import hold_out, training_states
-from thetacomp.report import write_report
-from thetacomp.report.analysis_files import write_tables
+from thetacomp.files import write_files
+from thetacomp.folds import hold_out, training_states
+from thetacomp.report.analysis_files import table_files
+from thetacomp.report.page import report_files
 from thetacomp.separation import separate_all
 from thetacomp.states import AxisStates, axis_states
 from thetacomp.validation.families import families
 from thetacomp.validation.families.choice import FamilyModel, family_procedure, inner_errors, training_table
-from thetacomp.validation.families.compare import AxisTask, compare_families
+from thetacomp.validation.families.compare import compare_families
 from thetacomp.validation.families.dynamic import SLOWEST, Arx, Course, Grey, fit_arx, fit_grey, on_grid, step_h
 from thetacomp.validation.families.families import FAMILIES
 from thetacomp.validation.families.family import BUDGET, Family, Rows, Table, linear, one_by_one
 from thetacomp.validation.families.linear import step_path
 from thetacomp.validation.families.rows import COMPARISON_ONLY
 from thetacomp.validation.families.shrinkage import group_lasso_path
+from thetacomp.validation.validate import AxisTask
 
 BY_NAME = {family.name: family for family in FAMILIES}
 NAMES = list(BY_NAME)
@@ -285,7 +287,7 @@ def test_analyze_compare_writes_the_table_and_keeps_the_families_out_of_the_mode
     few = tuple(small(BY_NAME[name]) for name in ("lasso", "ARX, open loop", "Gaussian process"))
     monkeypatch.setattr(families, "FAMILIES", few)
     analysis = analyze_folder(slow_column(1, 2, 3), compare=True)
-    write_tables(analysis, tmp_path)
+    write_files(tmp_path, table_files(analysis))
     with (tmp_path / "comparison.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     column = [row for row in rows if row["component"] == "EYY"]
@@ -296,7 +298,7 @@ def test_analyze_compare_writes_the_table_and_keeps_the_families_out_of_the_mode
     assert {row["n"] for row in column} == {str(default.n)}  # all are judged on the same points
     stored = (tmp_path / "model.json").read_text(encoding="utf-8")
     assert not any(family.name in stored for family in few)
-    write_report(analysis, tmp_path)
+    write_files(tmp_path, report_files(analysis))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Families of models, for comparison only" in page
     assert "Gaussian process: at most 60 rows of a campaign train" in page

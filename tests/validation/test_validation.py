@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thetacomp.analysis import analyze_folder, fit_for_use
+from thetacomp.analysis import analyze_folder
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.folds import forward_in_time, hold_out
 from thetacomp.fitting.key_point_law import all_sensors, clock, fit_axis, training_mean
 from thetacomp.fitting.procedures import key_point_procedure
+from thetacomp.folds import forward_in_time, hold_out
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_folder
 from thetacomp.states import AxisStates, axis_states
+from thetacomp.validation.acceptance import fit_for_use
 from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.rows import ValidationRow
 

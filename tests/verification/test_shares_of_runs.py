@@ -280,6 +280,10 @@ def test_draws_are_fewer_for_long_records() -> None:
         (0.5, 0.05, 0.92, "unclear"),  # 0 and 1 are both possible
         (2.2, 2.11, 2.3, "too strong"),
         (-1.2, -1.3, -1.11, "reversed"),
+        # -1, 0 and 2 are possible, yet 0.3 away
+        (-0.7, -0.95, -0.6, "unclear"),
+        (0.3, 0.05, 0.5, "unclear"),
+        (1.7, 1.65, 1.95, "unclear"),
     ],
 )
 def test_the_name_of_a_share_at_the_edges(value: float, low: float, high: float, kind: str) -> None:

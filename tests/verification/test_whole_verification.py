@@ -116,12 +116,21 @@ def test_what_nobody_stated_is_said(folder: MachineFolder, result: Verification)
     )
 
 
+def test_the_steps_are_told_as_they_begin(folder: MachineFolder) -> None:
+    told: list[str] = []
+    verify_folder(folder, ["off"], ["on"], true_model(), told.append)
+    assert told == [
+        "separating geometry and heat", "relating temperatures and error with compensation off", "comparing off and on",
+    ]  # fmt: skip
+
+
 def test_what_only_one_run_measured_is_named_and_left_out(folder: MachineFolder) -> None:
     off, on = folder.campaigns
     one = replace(folder, campaigns=(only(off, ("X",)), on))
     result = verify_folder(one, ["off"], ["on"], true_model())
     assert {row.component for row in result.rows} == {"EXX", "EYX", "EZX"}
     assert "EXY, EYY, EZY: not measured in all campaigns of both runs; not compared" in result.notes
+    assert not any("no heated state" in note for note in result.notes)
     with pytest.raises(AnalysisError, match="the two runs share no error component"):
         verify_folder(replace(folder, campaigns=(only(off, ("X",)), only(on, ("Y",)))), ["off"], ["on"], true_model())
 

@@ -14,8 +14,9 @@ from rigid_machine import MACHINE, draw_rigid, measure
 from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.campaign import MachineFolder
+from thetacomp.files import write_files
 from thetacomp.fitting.key_point_law import AxisModel, fit_axis
-from thetacomp.report.analysis_files import write_tables
+from thetacomp.report.analysis_files import table_files
 from thetacomp.report.figures_fit import fit_over_temperature
 from thetacomp.separation import separate_all
 from thetacomp.states import AxisStates, axis_states
@@ -46,7 +47,7 @@ def test_the_model_is_joint_and_its_notes_say_what_was_assumed(joint: Analysis, 
     assert any("X, Y, W, as the order from the workpiece to the tool" in note for note in joint.notes)
     assert any("naive sum" in note for note in joint.notes)
     assert "[µrad; X in mm" in joint.model.rotations["X"].components["EAX"].equation
-    write_tables(joint, tmp_path)
+    write_files(tmp_path, table_files(joint))
     rows = list(csv.DictReader((tmp_path / "angles.csv").read_text(encoding="utf-8").splitlines()))
     assert {row["component"] for row in rows} >= {"EAX", "ECW", "DA"}
     assert "slope_urad_per_m" in rows[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import shutil
@@ -21,7 +22,7 @@ from thetacomp.cli.main import app
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src"
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-HEAVY = ("pandas", "sklearn", "scipy", "matplotlib", "pyarrow")
+HEAVY = ("numpy", "pandas", "sklearn", "scipy", "matplotlib", "pyarrow", "skfem")
 
 
 def run_python(code: str) -> str:
@@ -76,7 +77,8 @@ import importlib, pkgutil, sys
 
 ALLOWED = {"numpy", "pydantic", "structlog"}
 ALLOWED |= {"pydantic_core", "annotated_types", "typing_extensions", "typing_inspection"}  # what pydantic brings
-ROOMS = {"thetacomp.model", "thetacomp.controllers", "thetacomp.machine", "thetacomp.errors", "thetacomp.arrays"}
+BELOW = ("machine", "errors", "arrays", "files", "table_file", "names")
+ROOMS = {"thetacomp." + name for name in ("model", "controllers", *BELOW)}
 
 class Blocked:
     def find_spec(self, name, path=None, target=None):
@@ -130,9 +132,14 @@ def test_no_file_holds_a_path_of_one_computer_or_the_host_of_a_registry():
     assert not found, "\n".join(found)
 
 
-def test_there_is_no_notebook_and_no_pickle():
-    unwanted = {".ipynb", ".pkl", ".pickle", ".joblib"}
+def test_there_is_no_pickle_and_notebooks_are_stored_without_outputs():
+    unwanted = {".pkl", ".pickle", ".joblib"}
     assert [path.name for path in repository_files() if path.suffix in unwanted] == []
+    for path in repository_files():
+        if path.suffix == ".ipynb":
+            cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+            code = [cell for cell in cells if cell["cell_type"] == "code"]
+            assert [(cell["outputs"], cell["execution_count"]) for cell in code] == [([], None)] * len(code), path.name
 
 
 # --- locked dependencies ----------------------------------------------------------------------------------------------
@@ -155,19 +162,27 @@ def locked(name: str) -> dict[str, list[Requirement]]:
 
 
 @pytest.mark.parametrize(
-    ("name", "group"), [("requirements.txt", "build"), ("requirements-dev.txt", "dev")], ids=["runtime", "dev"]
+    ("name", "group"), [("requirements.txt", "build"), ("requirements-dev.txt", "dev")], ids=["base", "dev"]
 )
 def test_locked_requirements_meet_what_the_project_asks_for(name, group):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     pins = locked(name)
     wanted = [*project["project"]["dependencies"]]
     wanted += [item for item in project["dependency-groups"][group] if isinstance(item, str)]
+    if group == "dev":  # the tests need every extra
+        extras = project["project"]["optional-dependencies"]
+        wanted += [text for name, extra in extras.items() if name != "all" for text in extra]
     for text in wanted:
         requirement = Requirement(text)
         assert requirement.name in pins, f"{requirement.name} is not in {name}: run `make lock`"
         for pin in pins[requirement.name]:
             version = next(iter(pin.specifier)).version
             assert requirement.specifier.contains(version), f"{pin} does not meet {requirement}: run `make lock`"
+
+
+def test_the_base_lock_holds_no_optional_package():
+    optional = {"numba", "llvmlite", "pyarrow", "pandas", "scikit-learn", "scikit-fem", "threadpoolctl", "joblib"}
+    assert not optional & set(locked("requirements.txt"))
 
 
 def test_tools_are_locked_to_the_same_versions_as_the_runtime():

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, progress_lines, run
+from thetacomp.extras import require
 
 if TYPE_CHECKING:
     from thetacomp.analysis_result import Analysis
@@ -39,18 +40,23 @@ def analyze(
     """Separate, choose key points, fit, validate; write model.json, tables, figures and report.html."""
 
     def work() -> Outcome:
+        if compare:
+            require("families")
         from thetacomp.analysis import analyze_folder
+        from thetacomp.files import write_files
+        from thetacomp.outputs import output_folder
         from thetacomp.reading import read_folder
-        from thetacomp.report import write_report
-        from thetacomp.report.analysis_files import write_tables
+        from thetacomp.report.analysis_files import OWN, analysis_files
 
         progress = progress_lines(as_json)
-        progress("reading")
-        analysis = analyze_folder(read_folder(folder), train or (), test or (), progress, not no_repair, mix, compare)
-        paths = write_tables(analysis, out)
-        progress("drawing")
-        paths += write_report(analysis, out)
-        return summary(analysis, out, paths)
+        with output_folder(out, [folder], OWN) as fresh:
+            progress("reading")
+            read = read_folder(folder)
+            analysis = analyze_folder(read, train or (), test or (), progress, not no_repair, mix, compare)
+            progress("drawing")
+            files = analysis_files(analysis)
+            write_files(fresh, files)
+        return summary(analysis, out, tuple(out / name for name in files))
 
     run(work, as_json)
 

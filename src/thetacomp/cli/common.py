@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import math
 import os
+import secrets
 import sys
 import tempfile
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from thetacomp import __version__
-from thetacomp.errors import InputError, ThetacompError
+from thetacomp.errors import InputError, OutputError, ThetacompError
+from thetacomp.files import write_file
 
 # The matrices here are small: threads of the linear algebra cost more than they bring. NumPy is not loaded yet.
 for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -40,7 +44,8 @@ def progress_lines(as_json: bool) -> Callable[[str], None]:
 
     def tell(message: str) -> None:
         if not as_json:
-            typer.echo(f"… {message}", err=True)
+            with suppress(OSError):  # a full disk behind the console is no reason to stop
+                typer.echo(f"… {message}", err=True)
 
     return tell
 
@@ -59,30 +64,50 @@ def run(work: Callable[[], Outcome], as_json: bool) -> None:
     except ThetacompError as exc:
         outcome = Outcome(f"error: {exc}", {"error": str(exc)}, BAD_INPUT)
     except BrokenPipeError:
-        # The reader of a pipe (head, less) left early: that is no error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(DONE) from None
+        _leave_quietly(DONE)
     except OSError as exc:
         text = f"error: {exc.filename or 'file'}: {exc.strerror or exc}. Fix: check the path, the rights and the disk."
         outcome = Outcome(text, {"error": text}, BAD_INPUT)
     except Exception:
         outcome = _defect()
+    try:
+        _print(outcome, as_json)
+    except BrokenPipeError:
+        _leave_quietly(DONE)
+    except OSError as exc:  # the console is a file on a full disk
+        with suppress(OSError):
+            typer.echo(f"error: the results cannot be printed: {exc.strerror}.", err=True)
+        _leave_quietly(BAD_INPUT)
+    if outcome.exit_code:
+        raise typer.Exit(outcome.exit_code)
+
+
+def _print(outcome: Outcome, as_json: bool) -> None:
     if as_json:
         document = {"thetacomp": __version__, "exit_code": outcome.exit_code, **_jsonable(outcome.data)}
         typer.echo(json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False))
     else:
         typer.echo(outcome.text, err=outcome.exit_code == BAD_INPUT)
-    if outcome.exit_code:
-        raise typer.Exit(outcome.exit_code)
+    sys.stdout.flush()
+
+
+def _leave_quietly(exit_code: int) -> NoReturn:
+    """End without a word on the way out: the reader of a pipe (head, less) left early, or the console is full."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):  # streams of a test have no number
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    raise typer.Exit(exit_code) from None
 
 
 def _defect() -> Outcome:
     """A defect of thetacomp itself: the details go to a file, the user gets one line."""
-    with tempfile.NamedTemporaryFile(
-        "w", prefix="thetacomp-defect-", suffix=".txt", delete=False, encoding="utf-8"
-    ) as log:
-        log.write(f"thetacomp {__version__}, Python {sys.version}\n{' '.join(sys.argv)}\n{traceback.format_exc()}")
-    text = f"error: this is a defect of thetacomp, not of your files. Details for a report are in {log.name}"
+    details = f"thetacomp {__version__}, Python {sys.version}\n{' '.join(sys.argv)}\n{traceback.format_exc()}"
+    text = "error: this is a defect of thetacomp, not of your files."
+    try:
+        path = Path(tempfile.gettempdir()) / f"thetacomp-defect-{secrets.token_hex(4)}.txt"
+        text += f" Details for a report are in {write_file(path, details)}"
+    except (OSError, OutputError) as exc:
+        text += f" Details for a report could not be stored ({exc})."
     return Outcome(text, {"error": text}, BAD_INPUT)
 
 

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import shlex
-import shutil
 from contextlib import redirect_stdout
 from dataclasses import astuple, fields
 from pathlib import Path
@@ -16,6 +15,8 @@ import typer
 
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
 from thetacomp.errors import AnalysisError
+from thetacomp.files import write_file, write_files
+from thetacomp.table_file import csv_text
 
 INTRODUCTION = """\
 The machine: a TK6920 floor-type boring and milling machine, measured with a laser tracker while it warmed up.
@@ -44,16 +45,17 @@ Then, with your own machine
 
 
 def demo(
+    context: typer.Context,
     out: Annotated[Path, typer.Option("--out", help="Folder for input, results and controller data.")] = Path(
         "thetacomp-demo"
     ),
     as_json: JsonOption = False,
 ) -> None:
     """Run the whole job on the bundled machine, then say which files to open."""
-    run(lambda: _demo(out, as_json), as_json)
+    run(lambda: _demo(context, out, as_json), as_json)
 
 
-def _demo(out: Path, as_json: bool) -> Outcome:
+def _demo(context: typer.Context, out: Path, as_json: bool) -> Outcome:
     folder, results, control = out / "tk6920", out / "results", out / "sinumerik"
     model, positions, reasons = results / "model.json", out / "positions.csv", out / "keypoints.txt"
     _copy_example(folder)
@@ -68,7 +70,7 @@ def _demo(out: Path, as_json: bool) -> Outcome:
         """Say what comes, run it, and return its words without printing them."""
         arguments = [str(part) for part in command]
         say(f"{len(told) + 1}. {purpose}\n   $ {_printed(arguments)}\n")
-        words, data = _run_command(arguments, as_json)
+        words, data = _run_command(context, arguments, as_json)
         told.append({"command": arguments, **data})
         return words
 
@@ -81,7 +83,7 @@ def _demo(out: Path, as_json: bool) -> Outcome:
         *("keypoints", folder, "--parameter-correlations", tables[0], "--sensor-correlations", tables[1]),
     )
     if not as_json:
-        reasons.write_text(words, encoding="utf-8")
+        write_file(reasons, words)
         summary = words.partition("\n\n")[0]
         say(f"{summary}\nWhy each sensor stayed or went: {reasons}\n")
 
@@ -107,16 +109,16 @@ def _printed(arguments: list[str]) -> str:
     return line if len(line) < 100 else line.replace(" --", " \\\n       --")
 
 
-def _run_command(arguments: list[str], as_json: bool) -> tuple[str, dict[str, Any]]:
-    """Run one command of thetacomp in this process: its words and, on demand, its data.
+def _run_command(context: typer.Context, arguments: list[str], as_json: bool) -> tuple[str, dict[str, Any]]:
+    """Run another command of the same program in this process: its words and, on demand, its data.
 
     "Not fit for use" is the right end for the bundled data. AnalysisError where a command ends otherwise.
     """
-    from thetacomp.cli.main import app
-
+    json_option = ["--json"] if as_json else []
+    thetacomp = context.find_root().command
     words = io.StringIO()
     with redirect_stdout(words):
-        exit_code = app([*arguments, "--json"] if as_json else arguments, standalone_mode=False) or DONE
+        exit_code = thetacomp.main([*arguments, *json_option], "thetacomp", standalone_mode=False) or DONE
     if exit_code not in (DONE, NOT_FIT):
         raise AnalysisError(f"`{_printed(arguments)}` ended with exit code {exit_code}.\n{words.getvalue()}")
     return words.getvalue(), json.loads(words.getvalue()) if as_json else {}
@@ -149,10 +151,8 @@ def _against_print(folder: Path, path: Path) -> str:
     from thetacomp.validation.published import compare_with_published, read_published_equations
 
     rows = compare_with_published(read_published_equations(TK6920_EQUATIONS), read_folder(folder))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(field.name for field in fields(rows[0]))
-        writer.writerows(astuple(row) for row in rows)
+    columns = [field.name for field in fields(rows[0])]
+    write_file(path, csv_text(columns, map(astuple, rows), "\r\n"))
     strong = [row for row in rows if row.coefficient.endswith("per °C") and row.verdict != "weak"]
     close = [row for row in strong if row.verdict != "differs"]
     turned = sorted({(row.equation, row.component) for row in rows if row.verdict == "reversed"})
@@ -168,12 +168,11 @@ def _against_print(folder: Path, path: Path) -> str:
 def _copy_example(folder: Path) -> None:
     from thetacomp.examples import TK6920
 
-    shutil.copytree(TK6920, folder, dirs_exist_ok=True)
+    found = sorted(path for path in TK6920.rglob("*") if path.is_file())
+    write_files(folder, {path.relative_to(TK6920).as_posix(): path.read_bytes() for path in found})
 
 
 def _write_positions(path: Path) -> None:
     """Where a prediction is wanted: every 500 mm of the column, each hour of the warm-up."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(("t_s", "axis", "position_mm"))
-        writer.writerows((3600 * hour, "Y", 500 * step) for hour in range(8) for step in range(7))
+    rows = [(3600 * hour, "Y", 500 * step) for hour in range(8) for step in range(7)]
+    write_file(path, csv_text(("t_s", "axis", "position_mm"), rows, "\r\n"))

@@ -29,24 +29,25 @@ def export(
 
 def _export(model_path: Path, target: str, out: Path, settings: Path | None, replay: Path | None) -> Outcome:
     from thetacomp.controllers.targets import TARGETS
+    from thetacomp.files import write_files
     from thetacomp.model.load import load_model
+    from thetacomp.outputs import output_folder
+    from thetacomp.report.export import OWN, export_files
 
     if target not in TARGETS:
         text = f"error: this version writes {', '.join(TARGETS)}, not '{target}'. Fix: --target {next(iter(TARGETS))}."
         return Outcome(text, {"error": text, "targets": list(TARGETS)}, BAD_USAGE)
-    model = load_model(model_path)
-    made = TARGETS[target](model, settings)
-    out.mkdir(parents=True, exist_ok=True)
-    for file in made.files:
-        # Newlines as they are: the same files come out on every system.
-        (out / file.name).write_text(file.text, encoding="utf-8", newline="\n")
+    with output_folder(out, [path for path in (model_path, settings, replay) if path is not None], OWN) as fresh:
+        model = load_model(model_path)
+        made = export_files(model, target, settings)
+        write_files(fresh, {file.name: file.text for file in made.files})
+        replayed = _replay(model, target, out, fresh, settings, replay) if replay is not None else Outcome("")
     lines = [f"{target} files for {model.machine} in {out}:", *(f"  {file.name}" for file in made.files), *made.remarks]
     lines += [
         f"An older {name} is still in {out}: it does not belong to this model, delete it."
         for name in made.absent
         if (out / name).exists()
     ]
-    replayed = _replay(model, target, out, settings, replay) if replay is not None else Outcome("")
     lines += [replayed.text] if replay is not None else []
     reasons = []
     if model.sign == "unproven":
@@ -74,17 +75,19 @@ def _export(model_path: Path, target: str, out: Path, settings: Path | None, rep
     return Outcome("\n".join(lines), data, NOT_FIT if reasons else DONE)
 
 
-def _replay(model: ModelDocument, target: str, out: Path, settings: Path | None, folder: Path) -> Outcome:
+def _replay(model: ModelDocument, target: str, out: Path, fresh: Path, settings: Path | None, folder: Path) -> Outcome:
     """Replay every campaign of a machine folder through the limits; a table and a picture of the worst one."""
     from dataclasses import asdict
 
     from thetacomp.controllers.targets import REPLAYS
+    from thetacomp.files import write_files
     from thetacomp.reading import read_folder
-    from thetacomp.report.replay import replay_lines, series, write_replay
+    from thetacomp.report.replay import replay_files, replay_lines, series
 
     campaigns = read_folder(folder).campaigns
     replays = [REPLAYS[target](model, settings, campaign.name, *series(campaign)) for campaign in campaigns]
-    paths = write_replay(replays, out)
+    files = replay_files(replays)
+    write_files(fresh, files)
     data = {
         "replay": [
             {
@@ -94,6 +97,6 @@ def _replay(model: ModelDocument, target: str, out: Path, settings: Path | None,
             }
             for one in replays
         ],
-        "replay_files": [str(path) for path in paths],
+        "replay_files": [str(out / name) for name in files],
     }
     return Outcome("\n".join(replay_lines(replays)), data)

@@ -33,13 +33,18 @@ def iso230(
 
     def work() -> Outcome:
         from thetacomp.errors import AnalysisError
-        from thetacomp.report.iso230 import write_iso230
+        from thetacomp.files import write_files
+        from thetacomp.outputs import output_folder
+        from thetacomp.report.iso230 import OWN, iso230_files
 
         lone = source.suffix.lower() in TABLES and not source.is_dir() and not campaign
-        machine, done, refused = _from_table(source) if lone else _from_folder(source, campaign or [])
-        if not done:
-            raise AnalysisError("\n".join(["no test can be evaluated:", *_reasons(refused)]))
-        return _outcome(done, refused, write_iso230(machine, done, out))
+        with output_folder(out, [source], OWN) as fresh:
+            machine, done, refused = _from_table(source) if lone else _from_folder(source, campaign or [])
+            if not done:
+                raise AnalysisError("\n".join(["no test can be evaluated:", *_reasons(refused)]))
+            files = iso230_files(machine, done)
+            write_files(fresh, files)
+        return _outcome(done, refused, tuple(out / name for name in files))
 
     run(work, as_json)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import textwrap
+from collections.abc import Sequence
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -15,9 +16,11 @@ import typer
 from thetacomp.cli.common import JsonOption, Outcome, run
 
 if TYPE_CHECKING:
-    from thetacomp.campaign import CorrelationTable, MachineFolder
+    from thetacomp.campaign import CorrelationTable
     from thetacomp.machine import Machine
+    from thetacomp.preparation import Prepared
     from thetacomp.sensors.key_points import AxisKeyPoints, StrategyTable
+    from thetacomp.sensors.selection import Method
 
 NARROWEST, WIDEST = 60, 100
 MEASURED, PUBLISHED = "measurements", "correlation tables"
@@ -64,6 +67,12 @@ def keypoints(
     budget_s: Annotated[
         float | None, typer.Option("--budget-s", min=0.0, help="exact: most seconds for each number of sensors.")
     ] = None,
+    train: Annotated[
+        list[str] | None, typer.Option("--train", help="Campaign to choose by; repeat for more. Default: all.")
+    ] = None,
+    mix: Annotated[
+        bool, typer.Option("--mix", help="Use campaigns of different modes or active tables together.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Choose the sensors that matter, and say for every sensor why it stayed or went."""
@@ -78,17 +87,20 @@ def keypoints(
         raise typer.BadParameter("--method exact needs measurements: published correlations do not tell hold-outs.")
     if not exact and (sensors is not None or budget_s is not None or score is not SearchScore.HELD_OUT):
         raise typer.BadParameter("--sensors, --score and --budget-s belong to --method exact.")
+    if parameter_correlations is not None and (train or mix):
+        raise typer.BadParameter("--train and --mix choose campaigns: published correlations hold none.")
     if parameter_correlations is not None and sensor_correlations is not None:
         tables = (parameter_correlations, sensor_correlations)
         run(lambda: _from_tables(tables, folder, machine), as_json)
     elif exact and folder is not None:
-        from thetacomp.cli.keypoints_exact import exact_key_points
+        from thetacomp.cli.keypoints_exact import Search, exact_key_points
 
         measured = folder
-        run(lambda: exact_key_points(measured, sensors, score.value, budget_s, as_json), as_json)
+        searched = Search(sensors, score.value, budget_s)
+        run(lambda: exact_key_points(measured, train or (), mix, searched, as_json), as_json)
     elif folder is not None:
         path = folder
-        run(lambda: _from_folder(path, method), as_json)
+        run(lambda: _from_folder(path, method, train or (), mix), as_json)
 
 
 def _from_tables(tables: tuple[Path, Path], folder: Path | None, machine: Path | None) -> Outcome:
@@ -108,10 +120,10 @@ def _from_tables(tables: tuple[Path, Path], folder: Path | None, machine: Path |
     return _outcome([(PUBLISHED, found)], notes)
 
 
-def _from_folder(path: Path, method: MethodName) -> Outcome:
+def _from_folder(path: Path, method: MethodName, train: Sequence[str], mix: bool) -> Outcome:
+    from thetacomp.preparation import prepare
     from thetacomp.reading import read_folder
     from thetacomp.sensors.selection import key_points, key_points_from_correlations
-    from thetacomp.separation import separate_folder
 
     folder = read_folder(path)
     notes: list[str] = []
@@ -122,10 +134,10 @@ def _from_folder(path: Path, method: MethodName) -> Outcome:
         )
         found.append((PUBLISHED, published))
         notes.append(_about_the_rule(folder.parameter_correlations))
-    found.append(
-        (MEASURED, key_points(folder, separate_folder(folder), "paper" if method is MethodName.PAPER else "weighted"))
-    )
-    return _outcome(found, [*notes, *_about_the_sign(folder)])
+    prepared = prepare(folder, train, mix=mix)
+    way: Method = "paper" if method is MethodName.PAPER else "weighted"
+    found.append((MEASURED, tuple(key_points(folder.machine, states, way) for states in prepared.training)))
+    return _outcome(found, [*notes, *_about_the_sign(prepared), *prepared.screening_notes])
 
 
 def _about_the_rule(table: CorrelationTable) -> str:
@@ -135,8 +147,9 @@ def _about_the_rule(table: CorrelationTable) -> str:
     )
 
 
-def _about_the_sign(folder: MachineFolder) -> list[str]:
-    unproven = [c.name for c in folder.campaigns if c.settings.sign == "unproven"]
+def _about_the_sign(prepared: Prepared) -> list[str]:
+    campaigns = [prepared.folder.campaign(name) for name in prepared.train]
+    unproven = [c.name for c in campaigns if c.settings.sign == "unproven"]
     if not unproven:
         return []
     return [f"Sign unproven in campaign {', '.join(unproven)}. The choice of sensors does not depend on the sign."]

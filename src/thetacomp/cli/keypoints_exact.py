@@ -6,9 +6,9 @@ import math
 import signal
 import textwrap
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,29 +30,39 @@ _SCORES = {
 }
 
 
-def exact_key_points(path: Path, sensors: int | None, score: ScoreName, budget_s: float | None, quiet: bool) -> Outcome:
+@dataclass(frozen=True)
+class Search:
+    """What is searched: one number of `sensors` or the curve, what is made smallest, seconds for each number."""
+
+    sensors: int | None
+    score: ScoreName
+    budget_s: float | None
+
+
+def exact_key_points(path: Path, train: Sequence[str], mix: bool, search: Search, quiet: bool) -> Outcome:
     """Search every axis of a folder; Ctrl-C ends the search and tells what is known until then."""
     from thetacomp.errors import AnalysisError
+    from thetacomp.preparation import prepare
     from thetacomp.reading import read_folder
     from thetacomp.sensors.sensor_curve import sensor_curve
-    from thetacomp.separation import separate_folder
-    from thetacomp.states import axis_states
 
-    folder = read_folder(path)
+    prepared = prepare(read_folder(path), train, mix=mix)
     curves: list[SensorCurve] = []
     notes: list[str] = []
-    counts = None if sensors is None else [sensors]
+    counts = None if search.sensors is None else [search.sensors]
     with _interruptible() as stopped:
-        for states in axis_states(folder, separate_folder(folder), [c.name for c in folder.campaigns]):
+        for states in prepared.training:
             if stopped():
                 notes.append(f"{_where(states.axis)}: not searched, the search was stopped before")
                 continue
             try:
-                curves.append(sensor_curve(states, counts, score, budget_s, _progress(states.axis, quiet), stopped))
+                tell = _progress(states.axis, quiet)
+                curves.append(sensor_curve(states, counts, search.score, search.budget_s, tell, stopped))
             except AnalysisError as exc:
                 notes.append(str(exc))
     if not curves:
         raise AnalysisError(" ".join(notes) or "there is nothing to choose sensors for.")
+    notes += prepared.screening_notes
     text = "\n\n".join([*(_text(curve) for curve in curves), *(textwrap.fill(note, _WIDTH) for note in notes)])
     return Outcome(text, {"axes": [asdict(curve) for curve in curves], "notes": notes})
 

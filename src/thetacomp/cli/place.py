@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
+from thetacomp.extras import require
 
 if TYPE_CHECKING:
     from thetatwin.sensor_places import Placement
@@ -28,20 +29,25 @@ def place(
 
 
 def _work(out: Path, preset: str, mounting_name: str, sensors: int, seed: int) -> Outcome:
+    require("twin")
+    from thetacomp.files import write_files
+    from thetacomp.outputs import output_folder
     from thetatwin.conditions import load_conditions
     from thetatwin.description import load_description
     from thetatwin.mounting import load_mounting
-    from thetatwin.placement_page import PAGE, write_placement
+    from thetatwin.placement_page import OWN, PAGE, placement_files
     from thetatwin.sensor_places import existing_margin_um, place_sensors
     from thetatwin.virtual import build
 
     conditions = load_conditions(preset)
     description = load_description(conditions.machine)
     mounting = load_mounting(mounting_name, description)
-    out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is told before the long part
-    machine = build(description)
-    placement = place_sensors(machine, conditions, mounting, sensors, seed)
-    paths = write_placement(out, machine, conditions, mounting, placement, seed)
+    with output_folder(out, [Path(preset), Path(mounting_name)], OWN) as fresh:
+        machine = build(description)
+        placement = place_sensors(machine, conditions, mounting, sensors, seed)
+        files = placement_files(machine, conditions, mounting, placement, seed)
+        write_files(fresh, files)
+    paths = tuple(out / name for name in files)
     n, chosen_um, existing_um = existing_margin_um(placement)
     better = chosen_um < existing_um
     verdict = (

@@ -83,7 +83,7 @@ def _work(folder: Path, options: PlanOptions, out: Path) -> Outcome:
 
     toml = folder / "machine.toml"
     made = make_plan(read_machine(toml), options)
-    files = write_plan(made, toml.read_bytes(), out)
+    files = write_plan(made, toml.read_bytes(), out, [folder])
     exit_code = NOT_FIT if made.verdict.good is False else DONE
     return Outcome(_text(made, files, out), _data(made, files, out), exit_code)
 

@@ -27,7 +27,7 @@ def predict(
     positions: Annotated[
         Path, typer.Option(help="Table: t_s, axis, position_mm (axis empty: drift); or t_s and <axis>_mm of all axes.")
     ],
-    out: Annotated[Path, typer.Option(help="CSV file to write.")],
+    out: Annotated[Path, typer.Option(help="Table to write, .csv or .xlsx.")],
     duty: Annotated[
         Path | None, typer.Option(help="Table: t_s, spindle_rpm; where the model was trained with the spindle speed.")
     ] = None,
@@ -41,6 +41,16 @@ def predict(
 
 
 def _predict(
+    model_path: Path, temperatures_path: Path, positions_path: Path, duty_path: Path | None, out: Path, reference: str
+) -> Outcome:
+    from thetacomp.outputs import output_table
+
+    inputs = [model_path, temperatures_path, positions_path, *([duty_path] if duty_path is not None else [])]
+    with output_table(out, inputs):
+        return _predicted(model_path, temperatures_path, positions_path, duty_path, out, reference)
+
+
+def _predicted(
     model_path: Path, temperatures_path: Path, positions_path: Path, duty_path: Path | None, out: Path, reference: str
 ) -> Outcome:
     from thetacomp.model.load import load_model
@@ -71,14 +81,8 @@ def _predict_volume(
     place: Callable[[int], str],
 ) -> Outcome:
     """Positions of all axes at once: the joint form."""
-    from thetacomp.errors import AnalysisError
     from thetacomp.model.volumetric import predict_volume, write_volume
 
-    if any(positions.axis):
-        raise AnalysisError(
-            f"{place(0)}: an axis with position_mm stands beside {', '.join(f'{name}_mm' for name in positions.at_mm)}."
-            " Fix: give either t_s, axis, position_mm, or t_s and one column for each axis."
-        )
     at_mm, length_mm = positions.at_mm, positions.tool_length_mm
     prediction = predict_volume(model, temperatures, positions.t_s, at_mm, length_mm, moment, place, duty)
     write_volume(prediction, out)

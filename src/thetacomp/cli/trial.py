@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, run
+from thetacomp.extras import require
 
 
 def trial(
@@ -34,11 +35,14 @@ def trial(
 
 
 def _work(out: Path, preset: str, seed: int, months: int, training: str, every_min: int, screening: bool) -> Outcome:
+    require("twin")
+    from thetacomp.files import write_files
+    from thetacomp.outputs import output_folder
     from thetatwin.campaigns import make_twin
     from thetatwin.conditions import load_conditions
     from thetatwin.description import load_description
     from thetatwin.trial.monthly import acceptance, monthly
-    from thetatwin.trial.page import write_trial
+    from thetatwin.trial.page import trial_files
     from thetatwin.trial.run import run_trial
     from thetatwin.virtual import build
     from thetatwin.writer import refuse_filled
@@ -47,12 +51,15 @@ def _work(out: Path, preset: str, seed: int, months: int, training: str, every_m
     schedule = Schedule(_days(training), months=months, between_rounds_min=every_min)
     refuse_filled(out)
     conditions = load_conditions(preset)
-    _say("building the machine")
-    twin = make_twin(build(load_description(conditions.machine)), conditions, seed)
-    result = run_trial(twin, schedule, out / "machine", progress=_say, screening=screening)
-    rows = monthly(result)
-    checks = acceptance(rows)
-    paths = write_trial(result, rows, checks, out)
+    with output_folder(out) as fresh:
+        _say("building the machine")
+        twin = make_twin(build(load_description(conditions.machine)), conditions, seed)
+        result = run_trial(twin, schedule, fresh / "machine", progress=_say, screening=screening)
+        rows = monthly(result)
+        checks = acceptance(rows)
+        files = trial_files(result, rows, checks)
+        write_files(fresh, files)
+    paths = tuple(out / name for name in files)
     passed = all(check.passed for check in checks)
     lines = [
         f"{months} months on a virtual machine, preset {conditions.name}, seed {seed};"

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from thetacomp.cli.common import JsonOption, Outcome, run
+from thetacomp.extras import require
 
 
 def twin(
@@ -26,10 +27,12 @@ def twin(
 
 
 def _work(out: Path, preset: str, seed: int, campaigns: int, places: Path | None, strategy: str) -> Outcome:
-    from thetatwin.campaigns import make_twin, plan_campaigns
+    require("twin")
+    from thetacomp.files import Files
+    from thetatwin.campaigns import Record, make_twin, plan_campaigns
     from thetatwin.conditions import load_conditions
     from thetatwin.description import load_description
-    from thetatwin.picture import draw_machine
+    from thetatwin.picture import campaign_figure, figure_content
     from thetatwin.sensor_sets import read_places, with_sensors
     from thetatwin.virtual import build
     from thetatwin.writer import refuse_filled, truth_folder, write_twin
@@ -41,9 +44,13 @@ def _work(out: Path, preset: str, seed: int, campaigns: int, places: Path | None
         description = with_sensors(description, read_places(places, strategy))
     machine = build(description)
     made = make_twin(machine, conditions, seed)
-    records = write_twin(out, made, plan_campaigns(made, campaigns))
+
+    def pictures(record: Record) -> Files:
+        figure = campaign_figure(machine, record, conditions.work.tool_length_mm)
+        return {name: figure_content(figure, name) for name in ("machine.png", "machine.svg")}
+
+    records = write_twin(out, made, plan_campaigns(made, campaigns), pictures)
     picture = truth_folder(out) / "machine.png"
-    draw_machine(machine, records[0], conditions.work.tool_length_mm, picture, picture.with_suffix(".svg"))
     lines = [f"{out}: {machine.description.name}, preset {conditions.name}, seed {seed}"]
     if places is not None:
         lines[0] += f", {len(description.sensors)} sensors of {places} ({strategy})"

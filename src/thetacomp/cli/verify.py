@@ -27,17 +27,22 @@ def verify(
     """Compare runs with compensation off and on; name the cause where the result is a no-go."""
 
     def work() -> Outcome:
+        from thetacomp.files import write_files
         from thetacomp.model.load import load_model
+        from thetacomp.outputs import output_folder
         from thetacomp.reading import read_folder
-        from thetacomp.report.verification import write_verification
+        from thetacomp.report.verification import OWN, verification_files
         from thetacomp.verification import verify_folder
 
         progress = progress_lines(as_json)
-        progress("reading")
-        loaded = load_model(model) if model is not None else None
-        result = verify_folder(read_folder(folder), off, on, loaded, progress)
-        progress("drawing")
-        return _summary(result, write_verification(result, out))
+        with output_folder(out, [folder, *([model] if model is not None else [])], OWN) as fresh:
+            progress("reading")
+            loaded = load_model(model) if model is not None else None
+            result = verify_folder(read_folder(folder), off, on, loaded, progress)
+            progress("drawing")
+            files = verification_files(result)
+            write_files(fresh, files)
+        return _summary(result, tuple(out / name for name in files))
 
     run(work, as_json)
 

@@ -30,12 +30,14 @@ class ExportFile:
 
 @dataclass(frozen=True)
 class Export:
-    """All files of an export, and what must be said about them: sentences for the console.
+    """The files of an export, and what must be said about them: sentences for the console.
 
+    `plan` holds the facts behind the files, for the sheet that a person follows.
     `absent` names files of the same target that this model does not need: an older one must not be taken for new.
     """
 
     files: tuple[ExportFile, ...]
+    plan: Any
     remarks: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
 

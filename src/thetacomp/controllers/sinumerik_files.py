@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import textwrap
 
 import numpy as np
@@ -13,6 +11,7 @@ from thetacomp.controllers.ascii_text import ascii_names, ascii_text
 from thetacomp.controllers.base import RegisterLaw
 from thetacomp.controllers.sinumerik import GRID_STATES, TABLE_POINTS, Plan, SagTable
 from thetacomp.controllers.sinumerik_remarks import failed_checks
+from thetacomp.table_file import Number, csv_text
 
 TABLE_COLUMNS = 6
 LONGEST_LINE = 500  # a block of an NC program must stay below 512 characters, comments too
@@ -89,16 +88,16 @@ def sag_tables(plan: Plan) -> str:
 
 def values_csv(plan: Plan) -> str:
     """`sinumerik_values.csv`: temperatures of the inputs and what every register wants there."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
     columns = register_columns(plan)
-    writer.writerow([*(f"{sensor}_degC" for sensor in plan.grid_degC), *(name for name, _, _ in columns)])
     values = [law.at(plan.grid_degC) for _, law, _ in columns]
-    for i in range(GRID_STATES):
-        row = [rounded(float(degC[i]), 6) for degC in plan.grid_degC.values()]
-        row += [rounded(float(v[i]), digits) for v, (_, _, digits) in zip(values, columns, strict=True)]
-        writer.writerow(row)
-    return out.getvalue()
+    rows = [
+        [
+            *(Number(rounded(float(degC[i]), 6)) for degC in plan.grid_degC.values()),
+            *(Number(rounded(float(v[i]), digits)) for v, (_, _, digits) in zip(values, columns, strict=True)),
+        ]
+        for i in range(GRID_STATES)
+    ]
+    return csv_text([*(f"{sensor}_degC" for sensor in plan.grid_degC), *(name for name, _, _ in columns)], rows)
 
 
 def register_columns(plan: Plan) -> list[tuple[str, RegisterLaw, int]]:

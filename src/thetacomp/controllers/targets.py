@@ -11,14 +11,13 @@ from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
 from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
 from thetacomp.controllers.sinumerik_remarks import remarks
 from thetacomp.controllers.sinumerik_replay import CampaignReplay, replay_campaign
-from thetacomp.controllers.sinumerik_sheet import commissioning_sheet
 from thetacomp.model.document import ModelDocument
 
 CEC_FILE = "sinumerik_cec.ini"
 
 
 def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> Export:
-    """The files for a SINUMERIK 840D sl or ONE.
+    """The files that a SINUMERIK 840D sl or ONE reads, and its plan.
 
     Raises InputError where the settings do not fit, AnalysisError where nothing can be exported.
     """
@@ -28,8 +27,7 @@ def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> Export
     if plan.tables:
         files.append(ExportFile(CEC_FILE, sag_tables(plan)))
     files.append(ExportFile("sinumerik_values.csv", values_csv(plan)))
-    files.append(ExportFile("commissioning_sheet.html", commissioning_sheet(plan)))
-    return Export(tuple(files), remarks(plan), () if plan.tables else (CEC_FILE,))
+    return Export(tuple(files), plan, remarks(plan), () if plan.tables else (CEC_FILE,))
 
 
 def replay_sinumerik(

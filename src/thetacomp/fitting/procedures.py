@@ -5,8 +5,7 @@ from __future__ import annotations
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import AxisModel, Procedure, fit_axis
 from thetacomp.machine import Machine
-from thetacomp.sensors.parameters import parameter_table
-from thetacomp.sensors.selection import drive_sensors, paper_key_points, select_key_points
+from thetacomp.sensors.selection import key_points
 from thetacomp.states import AxisStates
 
 
@@ -14,7 +13,7 @@ def key_point_procedure(machine: Machine) -> Procedure:
     """Key points weighted by their µm over the travel, as few as the hold-out error asks for, then least squares."""
 
     def procedure(states: AxisStates) -> AxisModel:
-        chosen = select_key_points(parameter_table(states), drive_sensors(machine, states.axis))
+        chosen = key_points(machine, states)
         return fit_axis(states, chosen.key_points, chosen)
 
     return procedure
@@ -24,7 +23,7 @@ def paper_procedure(machine: Machine) -> Procedure:
     """The paper's way: main factors by correlation, one representative on the drive, least squares on that one."""
 
     def procedure(states: AxisStates) -> AxisModel:
-        chosen = paper_key_points(parameter_table(states), drive_sensors(machine, states.axis))
+        chosen = key_points(machine, states, "paper")
         if not chosen.key_points:
             raise AnalysisError(f"axis {states.axis or 'drift'}: no sensor correlates with any parameter.")
         return fit_axis(states, chosen.key_points[:1], chosen)

@@ -24,6 +24,7 @@ from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.estimator import Regressor
 from thetacomp.model.filters import HistoryLayout
+from thetacomp.moments import summarise
 
 # strengths relative to inputs of unit variance, half a decade apart
 STRENGTHS: tuple[float, ...] = tuple(10.0 ** (k / 2) for k in range(-6, 7))
@@ -108,13 +109,16 @@ class CampaignMoments:
     @classmethod
     def of(cls, x: Floats, y: Floats, groups: NDArray[Any]) -> CampaignMoments:
         """One pass over the rows; campaigns in the order of their sorted labels."""
-        parts = [(x[groups == label], y[groups == label]) for label in np.unique(groups)]
+        k = x.shape[1]
+        inputs, targets = [f"{i}" for i in range(k)], [f"{i}" for i in range(y.shape[1])]
+        parts = [summarise(x[groups == label], y[groups == label], inputs, targets) for label in np.unique(groups)]
+        products = np.array([part.about_zero() for part in parts])
         return cls(
-            n=np.array([float(len(a)) for a, _ in parts]),
-            x=np.array([a.sum(axis=0) for a, _ in parts]),
-            xx=np.array([a.T @ a for a, _ in parts]),
-            xy=np.array([a.T @ b for a, b in parts]),
-            yy=np.array([(b * b).sum(axis=0) for _, b in parts]),
+            n=np.array([float(part.count) for part in parts]),
+            x=np.array([part.count * part.input_mean for part in parts]),
+            xx=products[:, :k, :k],
+            xy=products[:, :k, k:],
+            yy=np.diagonal(products[:, k:, k:], axis1=1, axis2=2),
         )
 
     def spread(self, rows: Sequence[int]) -> Floats:

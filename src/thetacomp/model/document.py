@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from thetacomp.files import write_file
 from thetacomp.machine import Axis, Strict, WantedLength
 from thetacomp.model.band import Band
 from thetacomp.model.border import Border
@@ -191,8 +192,8 @@ class ModelDocument(Strict):
         return _indented(self.model_dump(mode="json")) + "\n"
 
     def save(self, path: Path) -> None:
-        """Write the document as UTF-8 JSON."""
-        path.write_text(self.to_json(), encoding="utf-8")
+        """Write the document as UTF-8 JSON, whole or not at all. Raises OutputError."""
+        write_file(path, self.to_json())
 
 
 def components_of(laws: Mapping[str, AxisLaw]) -> dict[str, Component]:

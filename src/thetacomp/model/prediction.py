@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
@@ -20,6 +19,7 @@ from thetacomp.model.filters import HistoryLayout, recorded_inputs
 from thetacomp.model.law import Law, LawValues, joined
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.wanted_length import follows_workpiece, length_error_um
+from thetacomp.table_file import Cell, Number, fixed, write_table
 
 # Rows that are worked on at once: hundreds of inputs for each must stay in the processor's cache.
 BLOCK = 1024
@@ -249,23 +249,21 @@ class _Table:
 
 
 def write_prediction(prediction: Prediction, path: Path) -> None:
-    """Write the prediction as CSV (UTF-8, decimal point); an empty cell is a value that cannot be told."""
+    """Write the prediction as CSV or .xlsx, by the ending of `path`; an empty cell is a value that cannot be told."""
     header = ["t_s", "axis", "position_mm", *(f"d{d}_um" for d in CARTESIAN)]
     header += [f"d{d}_{side}_um" for d in CARTESIAN for side in ("lo", "hi")]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*header, "in_domain"])
-        for i in range(len(prediction.t_s)):
-            bounds = [side[i, k] for k in range(3) for side in (prediction.lower_um, prediction.upper_um)]
-            writer.writerow(
-                [
-                    _plain(prediction.t_s[i]),
-                    prediction.axis[i],
-                    _plain(prediction.position_mm[i]),
-                    *(_micrometres(value) for value in (*prediction.error_um[i], *bounds)),
-                    int(prediction.in_domain[i]),
-                ]
-            )
+    rows: Iterator[list[Cell]] = (
+        [
+            _plain(prediction.t_s[i]),
+            prediction.axis[i],
+            _plain(prediction.position_mm[i]),
+            *(fixed(value, 4) for value in prediction.error_um[i]),
+            *(fixed(side[i, k], 4) for k in range(3) for side in (prediction.lower_um, prediction.upper_um)),
+            int(prediction.in_domain[i]),
+        ]
+        for i in range(len(prediction.t_s))
+    )
+    write_table(path, [*header, "in_domain"], rows)
 
 
 def breaches_of(seen: Sequence[tuple[NDArray[np.intp], Limit]]) -> tuple[Breach, ...]:
@@ -352,9 +350,5 @@ def _refuse_missing_reference(lacking: Sequence[str], at_s: float) -> None:
         )
 
 
-def _plain(value: float) -> str:
-    return np.format_float_positional(value, trim="-") if np.isfinite(value) else ""
-
-
-def _micrometres(value: float) -> str:
-    return f"{value:.4f}" if np.isfinite(value) else ""
+def _plain(value: float) -> Number | str:
+    return Number(np.format_float_positional(value, trim="-")) if np.isfinite(value) else ""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from thetacomp.model.prediction import (
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.volume import Part, ThermalParts, spindle_lean, volume_error, volume_slope
 from thetacomp.model.wanted_length import follows_workpiece, length_error_um
+from thetacomp.table_file import Cell, Number, fixed, write_table
 
 
 @dataclass(frozen=True)
@@ -162,23 +162,21 @@ class _Volume:
 
 
 def write_volume(prediction: VolumePrediction, path: Path) -> None:
-    """Write the prediction as CSV (UTF-8, decimal point); an empty cell is a value that cannot be told."""
+    """Write the prediction as CSV or .xlsx, by the ending of `path`; an empty cell is a value that cannot be told."""
     axes = list(prediction.positions_mm)
     header = ["t_s", *(f"{name}_mm" for name in axes), "tool_length_mm", *(f"d{d}_um" for d in CARTESIAN)]
     header += [f"d{d}_{side}_um" for d in CARTESIAN for side in ("lo", "hi")]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*header, "in_domain"])
-        for i in range(len(prediction.t_s)):
-            bounds = [side[i, k] for k in range(3) for side in (prediction.lower_um, prediction.upper_um)]
-            places = [prediction.positions_mm[name][i] for name in axes]
-            writer.writerow(
-                [
-                    *(_plain(v) for v in (prediction.t_s[i], *places, prediction.tool_length_mm[i])),
-                    *(f"{v:.4f}" if np.isfinite(v) else "" for v in (*prediction.error_um[i], *bounds)),
-                    int(prediction.in_domain[i]),
-                ]
-            )
+    rows: Iterator[list[Cell]] = (
+        [
+            *(_plain(v) for v in (prediction.t_s[i], *(prediction.positions_mm[name][i] for name in axes))),
+            _plain(prediction.tool_length_mm[i]),
+            *(fixed(value, 4) for value in prediction.error_um[i]),
+            *(fixed(side[i, k], 4) for k in range(3) for side in (prediction.lower_um, prediction.upper_um)),
+            int(prediction.in_domain[i]),
+        ]
+        for i in range(len(prediction.t_s))
+    )
+    write_table(path, [*header, "in_domain"], rows)
 
 
 def _chain(
@@ -249,5 +247,5 @@ def _reading_um(law: AxisLaw) -> Floats:
     return out
 
 
-def _plain(value: float) -> str:
-    return np.format_float_positional(value, trim="-") if np.isfinite(value) else ""
+def _plain(value: float) -> Number | str:
+    return Number(np.format_float_positional(value, trim="-")) if np.isfinite(value) else ""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from thetacomp.errors import InputError, Problem
+from thetacomp.names import name_fault
 
 LEAST_POINTS, MOST_POINTS = 5, 999
 COMMAND = "thetacomp plan"
@@ -85,6 +86,11 @@ def check_options(options: PlanOptions) -> None:
                 "name the machine direction that points up: Y with a horizontal spindle, Z with a vertical one.",
             )
         )
+    problems += [
+        problem(f"{option} {text!r}: {name_fault(text)}.", "name it otherwise.")
+        for option, text in (("--mode", options.mode), ("--instrument", options.instrument))
+        if name_fault(text)
+    ]
     if options.tracker_at_mm is not None and not all(map(math.isfinite, options.tracker_at_mm)):
         problems.append(problem("--tracker-at holds a value that is no finite number.", "give X,Y,Z in mm."))
     if options.must_see_um is not None and not 0 < options.must_see_um < math.inf:

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
-
-from thetacomp import __version__
 from thetacomp.planning import tables
 from thetacomp.planning.figures import day_figure, floor_figure, reach_figure
 from thetacomp.planning.foundation import FoundationTarget
@@ -26,8 +21,9 @@ from thetacomp.planning.timetable import (
 )
 from thetacomp.planning.uncertainty import STEEL_UM_PER_M_K, Reach
 from thetacomp.report import style
-from thetacomp.report.rendering import inline_svg, missing_note, render
-from thetacomp.report.tables import counted, number
+from thetacomp.report.pages import page
+from thetacomp.report.rendering import draw
+from thetacomp.report.tables import counted
 
 
 @dataclass(frozen=True)
@@ -106,26 +102,8 @@ def render_page(
         reach_figure(reached, setup.options.must_see_um),
         floor_figure(setup, targets),
     ]
-    rendered = [render(figure) for figure in figures]
-    missing = [text for files in rendered for text in files.missing]
-    if missing:
-        print(f"note: {missing_note(missing)}", file=sys.stderr)
-    environment = Environment(
-        loader=ChoiceLoader(
-            [PackageLoader("thetacomp.planning", "templates"), PackageLoader("thetacomp.report", "templates")]
-        ),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(number=number)
-    # Our own drawings; their texts are escaped.
-    drawn = {
-        figure.name: (figure, Markup(inline_svg(files.svg, figure.name, str(escape(figure.title)))))
-        for figure, files in zip(figures, rendered, strict=True)
-    }
-    return environment.get_template("plan.html.j2").render(
+    return page(
+        "thetacomp.planning/plan.html.j2",
         timetable=timetable,
         setup=setup,
         options=setup.options,
@@ -133,7 +111,7 @@ def render_page(
         targets=targets,
         reached=reached,
         programs=programs,
-        figures=drawn,
+        figures=draw(figures).inline(),
         verdict=verdict(setup, reached),
         notes=[*assumptions(setup), *timetable.notes],
         sweeps=[(axis, _span_min(timetable, axis.name)) for axis in setup.axes],
@@ -149,7 +127,6 @@ def render_page(
         log_lead_min=LOG_LEAD_S / 60.0,
         steel_um_per_m_K=STEEL_UM_PER_M_K,
         hour_s=style.HOUR_S,
-        version=__version__,
     )
 
 

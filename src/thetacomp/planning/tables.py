@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import timedelta
 
 import numpy as np
@@ -14,17 +12,7 @@ from thetacomp.planning.foundation import FoundationTarget, standard_um
 from thetacomp.planning.setup import Setup
 from thetacomp.planning.timetable import COLD_ROUNDS, Block, Timetable, moved_mm, sweep_span_s
 from thetacomp.planning.uncertainty import Reach
-
-Cell = str | float | int | None
-
-
-def csv_text(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
-    """CSV with a decimal point; None is an empty cell."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return out.getvalue()
+from thetacomp.table_file import Cell, csv_text, fixed
 
 
 def clock(timetable: Timetable, t_s: float) -> str:
@@ -77,12 +65,12 @@ def points_csv(timetable: Timetable, targets: Sequence[FoundationTarget]) -> str
                 "sweep" if point.axis else "foundation",
                 point.round,
                 point.part,
-                f"{point.t_s:.1f}",
+                fixed(point.t_s, 1),
                 point.axis,
                 point.target,
                 _sign(point.direction),
-                *(f"{point.position_mm[name]:.3f}" for name in names),
-                *(f"{value:.3f}" for value in nominal),
+                *(fixed(point.position_mm[name], 3) for name in names),
+                *(fixed(value, 3) for value in nominal),
             ]
         )
     header = ["point", "kind", "round", "part", "t_s", "axis", "target", "direction"]
@@ -98,14 +86,14 @@ def tracker_points_csv(timetable: Timetable) -> str:
     names = [axis.name for axis in timetable.setup.axes]
     rows: list[list[Cell]] = [
         [
-            f"{point.t_s:.1f}",
+            fixed(point.t_s, 1),
             point.name,
             f"{point.axis}_{point.target}" if point.axis else point.target,
             point.axis,
-            f"{point.position_mm[point.axis]:.3f}" if point.axis else None,
+            fixed(point.position_mm[point.axis], 3) if point.axis else None,
             _sign(point.direction),
             point.round if point.axis else None,
-            *(f"{point.position_mm[name]:.3f}" if point.axis not in ("", name) else None for name in names),
+            *(fixed(point.position_mm[name], 3) if point.axis not in ("", name) else None for name in names),
         ]
         for point in timetable.points
     ]
@@ -140,7 +128,7 @@ def uncertainty_csv(reached: Sequence[Reach]) -> str:
 def foundation_csv(targets: Sequence[FoundationTarget]) -> str:
     """Proposed places of the foundation targets, and room for the real ones."""
     header = ["target", "x_mm", "y_mm", "z_mm", "real_x_mm", "real_y_mm", "real_z_mm", "remark"]
-    return csv_text(header, [[t.name, *(f"{value:.0f}" for value in t.at_mm), "", "", "", ""] for t in targets])
+    return csv_text(header, [[t.name, *(fixed(value, 0) for value in t.at_mm), "", "", "", ""] for t in targets])
 
 
 def sensors_csv(setup: Setup) -> str:
@@ -169,15 +157,15 @@ def sweeps_csv(timetable: Timetable) -> str:
     names = [axis.name for axis in timetable.setup.axes]
     rows: list[list[Cell]] = [
         [
-            f"{point.t_s:.1f}",
+            fixed(point.t_s, 1),
             point.axis,
-            f"{point.position_mm[point.axis]:.3f}",
+            fixed(point.position_mm[point.axis], 3),
             None,
             None,
             None,
             _sign(point.direction),
             point.round,
-            *(None if name == point.axis else f"{point.position_mm[name]:.3f}" for name in names),
+            *(None if name == point.axis else fixed(point.position_mm[name], 3) for name in names),
         ]
         for point in timetable.points
         if point.axis
@@ -199,7 +187,7 @@ def duty_csv(timetable: Timetable) -> str:
             60.0 * moved_mm(setup, block, axis.name) / block.length_s if block.length_s else 0.0 for axis in setup.axes
         ]
         speed = options.speed_rpm if block.kind == "duty" else 0.0
-        rows.append([round(block.begin_s), f"{speed:g}", f"{sum(feeds):.0f}", *(f"{feed:.0f}" for feed in feeds)])
+        rows.append([round(block.begin_s), f"{speed:g}", fixed(sum(feeds), 0), *(fixed(feed, 0) for feed in feeds)])
     rows.append([round(timetable.blocks[-1].end_s), 0, 0, *(0 for _ in setup.axes)])
     header = ["t_s", "spindle_rpm", "feed_mm_min", *(f"feed_{axis.name}_mm_min" for axis in setup.axes)]
     return csv_text(header, rows)

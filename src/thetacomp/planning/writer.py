@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from thetacomp.errors import InputError
+from thetacomp.files import write_files
 from thetacomp.machine import Machine
+from thetacomp.outputs import output_folder
 from thetacomp.planning import tables
 from thetacomp.planning.foundation import FoundationTarget, propose_targets
 from thetacomp.planning.nc import nc_files
@@ -39,11 +42,8 @@ def make_plan(machine: Machine, options: PlanOptions) -> MeasuringPlan:
     return MeasuringPlan(timetable, targets, reached, verdict(timetable.setup, reached), notes)
 
 
-def write_plan(plan: MeasuringPlan, machine_toml: bytes, out: Path) -> tuple[str, ...]:
-    """Write all files into `out`; returns their paths below it, the page first. `machine_toml` is copied as it is.
-
-    Raises InputError where `out` holds something already.
-    """
+def refuse_filled(out: Path) -> None:
+    """Raise InputError where `out` holds something already."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(
             [
@@ -55,9 +55,13 @@ def write_plan(plan: MeasuringPlan, machine_toml: bytes, out: Path) -> tuple[str
                 )
             ]
         )
+
+
+def plan_files(plan: MeasuringPlan, machine_toml: bytes) -> dict[str, str | bytes]:
+    """All files by name, the page first. `machine_toml` is copied as it is."""
     programs = nc_files(plan.timetable)
     campaign = f"{MACHINE_FOLDER}/campaigns/{tables.campaign_name(plan.timetable)}"
-    files = {
+    return {
         PAGE: render_page(plan.timetable, plan.targets, plan.reached, [file.path for file in programs]),
         "timetable.csv": tables.timetable_csv(plan.timetable),
         "points.csv": tables.points_csv(plan.timetable, plan.targets),
@@ -67,11 +71,17 @@ def write_plan(plan: MeasuringPlan, machine_toml: bytes, out: Path) -> tuple[str
         "sensor_commissioning.csv": tables.sensors_csv(plan.timetable.setup),
         **{file.path: file.text for file in programs},
         **{f"{campaign}/{name}": text for name, text in tables.campaign_files(plan.timetable).items()},
+        f"{MACHINE_FOLDER}/machine.toml": machine_toml,
     }
-    contents = {name: text.encode() for name, text in files.items()}
-    contents[f"{MACHINE_FOLDER}/machine.toml"] = machine_toml
-    for name, content in contents.items():
-        path = out / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    return tuple(contents)
+
+
+def write_plan(plan: MeasuringPlan, machine_toml: bytes, out: Path, inputs: Sequence[Path] = ()) -> tuple[str, ...]:
+    """Write all files as the folder `out`, whole; returns their names, the page first.
+
+    Raises InputError where `out` holds something already, OutputError where it cannot be written.
+    """
+    refuse_filled(out)
+    with output_folder(out, inputs) as fresh:
+        files = plan_files(plan, machine_toml)
+        write_files(fresh, files)
+    return tuple(files)

@@ -2,7 +2,7 @@
 
 from thetacomp.reading.correlations import read_correlations
 from thetacomp.reading.folder import check_folder, read_folder, read_machine
-from thetacomp.reading.frames import campaign_from_frames
+from thetacomp.reading.frames import read_frames
 from thetacomp.reading.lone import Positions, read_duty, read_positions, read_temperatures
 from thetacomp.reading.positioning import read_positioning
 from thetacomp.reading.summary import CampaignSummary, FolderSummary, summarize
@@ -11,11 +11,11 @@ __all__ = [
     "CampaignSummary",
     "FolderSummary",
     "Positions",
-    "campaign_from_frames",
     "check_folder",
     "read_correlations",
     "read_duty",
     "read_folder",
+    "read_frames",
     "read_machine",
     "read_positioning",
     "read_positions",

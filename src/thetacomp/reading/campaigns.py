@@ -13,6 +13,7 @@ from thetacomp.arrays import CARTESIAN
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, Parameters
 from thetacomp.machine import Machine
 from thetacomp.model.temperatures import Duty, Temperatures
+from thetacomp.names import name_fault
 from thetacomp.reading import checks, tracker
 from thetacomp.reading.columns import ERRORS
 from thetacomp.reading.lead_in import with_lead_in
@@ -38,6 +39,9 @@ def build(
     and named in `unread`: the others are checked all the same.
     """
     found = ProblemList()
+    fault = name_fault(name)
+    if fault:
+        found.error("name", place, f"{name!r} cannot be the name of a campaign: {fault}.", "give it another name.")
     start_micros, start = _common_start(place, tables, found)
     one_clock = not found.has_errors
     heat = temperatures(tables["temperatures"], start_micros, machine, found) if "temperatures" in tables else None
@@ -95,6 +99,11 @@ def temperatures(table: Table, start_micros: int, machine: Machine | None, probl
             table.header(empty[0]),
         )
     kept = tuple(name for name in present if name not in empty)
+    for name in kept:
+        fault = name_fault(name)
+        if fault:
+            message = f"{name!r} cannot be the id of a sensor: {fault}."
+            problems.error("name", table.file, message, "rename the column.", (1,), table.header(name))
     if not kept:
         problems.error("empty-table", table.file, "no sensor has a value.", "export the temperatures again.")
     absent = [name for name in order if name not in table.numbers]

@@ -8,6 +8,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.campaign import CorrelationTable
+from thetacomp.names import name_fault
 from thetacomp.reading.columns import Matched, Meaning, Schema
 from thetacomp.reading.problems import ProblemList, UnreadableError
 from thetacomp.reading.sources import read_source
@@ -53,6 +54,9 @@ def correlation_table(path: Path, file: str, problems: ProblemList) -> Correlati
 
 
 def _rows_named(table: Table, rows: tuple[str, ...], problems: ProblemList) -> bool:
+    faults = [f"{name!r}: {name_fault(name)}" for name in table.numbers if name_fault(name)]
+    if faults:
+        problems.error("name", table.file, f"found the column {faults[0]}.", "give it another name.", (1,))
     wrong = [i for i, name in enumerate(rows) if not name or name in rows[:i]]
     if wrong:
         problems.error(
@@ -63,7 +67,7 @@ def _rows_named(table: Table, rows: tuple[str, ...], problems: ProblemList) -> b
             table.rows[wrong].tolist(),
             table.header(_ROW),
         )
-    return not wrong
+    return not wrong and not faults
 
 
 def _in_range(table: Table, names: tuple[str, ...], value: Floats, problems: ProblemList) -> bool:

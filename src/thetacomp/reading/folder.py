@@ -54,9 +54,9 @@ def check_folder(path: Path) -> tuple[MachineFolder | None, tuple[Problem, ...]]
     return (None if problems.has_errors else folder), problems.collected()
 
 
-def read_folder(path: Path) -> MachineFolder:
+def read_folder(path: Path | str) -> MachineFolder:
     """Read a machine folder. Raises InputError with all errors; warnings are dropped (see check_folder)."""
-    folder, problems = check_folder(path)
+    folder, problems = check_folder(Path(path))
     if folder is None:
         raise InputError([problem for problem in problems if problem.severity == "error"])
     return folder

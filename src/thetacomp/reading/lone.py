@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -13,9 +14,12 @@ from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.reading import campaigns
 from thetacomp.reading.columns import ANY_SENSORS, DUTY, POSITIONS, Meaning, Schema, match
 from thetacomp.reading.problems import ProblemList, UnreadableError
-from thetacomp.reading.sources import Source, read_source
+from thetacomp.reading.sources import Columns, Source, from_columns, read_source
 from thetacomp.reading.tables import Table, convert
 from thetacomp.reading.workbook import Workbook
+
+LoneTable: TypeAlias = "Path | str | Columns"
+"""A table of its own: the path of a file, or a table in memory."""
 
 
 @dataclass(frozen=True)
@@ -32,54 +36,57 @@ class Positions:
     at_mm: Mapping[str, Floats] = field(default_factory=dict)
 
 
-def read_temperatures(path: Path) -> Temperatures:
+def read_temperatures(table: LoneTable) -> Temperatures:
     """Read a temperature table of any format; every column but time is a sensor. Raises InputError.
 
     Absolute times (`time`) count in seconds from 1970-01-01, so that they agree with those of `read_positions`.
     """
     problems = ProblemList()
-    table = _table(Path(path), "temperatures", lambda source: ANY_SENSORS, problems)
-    data = campaigns.temperatures(table, 0, None, problems) if table is not None else None
+    found = _table(table, "temperatures", lambda source: ANY_SENSORS, problems)
+    data = campaigns.temperatures(found, 0, None, problems) if found is not None else None
     problems.raise_errors()
     assert data is not None
     return data
 
 
-def read_duty(path: Path) -> Duty:
+def read_duty(table: LoneTable) -> Duty:
     """Read a duty table (`spindle_rpm`, `feed_mm_min`, …). Raises InputError.
 
     Absolute times (`time`) count in seconds from 1970-01-01, so that they agree with those of `read_temperatures`.
     """
     problems = ProblemList()
-    table = _table(Path(path), "duty", lambda source: DUTY, problems)
-    data = campaigns.duty(table, 0, problems) if table is not None else None
+    found = _table(table, "duty", lambda source: DUTY, problems)
+    data = campaigns.duty(found, 0, problems) if found is not None else None
     problems.raise_errors()
     assert data is not None
     return data
 
 
-def read_positions(path: Path) -> Positions:
+def read_positions(table: LoneTable) -> Positions:
     """Read positions: time, then `axis` and `position_mm`, or `<axis>_mm` columns, optional `tool_length_mm`.
 
     Absolute times (`time`) count in seconds from 1970-01-01. Raises InputError.
     """
     problems = ProblemList()
-    table = _table(Path(path), "positions", _positions_schema, problems)
-    data = _positions(table, problems) if table is not None else None
+    found = _table(table, "positions", _positions_schema, problems)
+    data = _positions(found, problems) if found is not None else None
     problems.raise_errors()
     assert data is not None
     return data
 
 
-def _table(path: Path, name: str, wanted: Callable[[Source], Schema], problems: ProblemList) -> Table | None:
-    """A table of a file of its own; of a workbook the sheet of that name, else the first."""
+def _table(table: LoneTable, name: str, wanted: Callable[[Source], Schema], problems: ProblemList) -> Table | None:
+    """A table in memory or of a file of its own; of a workbook the sheet of that name, else the first."""
     try:
-        sheet = None
-        if path.suffix.lower() == ".xlsx":
-            sheet = next((s for s in Workbook(path).sheets if s.strip().lower() == name), None)
-        source = read_source(path, path.name, sheet)
+        if isinstance(table, Path | str):
+            path, sheet = Path(table), None
+            if path.suffix.lower() == ".xlsx":
+                sheet = next((s for s in Workbook(path).sheets if s.strip().lower() == name), None)
+            source = read_source(path, path.name, sheet)
+        else:
+            source = from_columns(table, name)
     except UnreadableError as refusal:
-        problems.refuse(path.name, refusal)
+        problems.refuse(Path(table).name if isinstance(table, Path | str) else name, refusal)
         return None
     schema = wanted(source)
     matched = match(source, schema, problems)
@@ -113,6 +120,15 @@ def _positions(table: Table, problems: ProblemList) -> Positions:
             "fill in the position in mm.",
             table.rows[lost].tolist(),
             table.header("position_mm"),
+        )
+    beside = [name for name in table.numbers if name.endswith("_mm") and name not in ("position_mm", "tool_length_mm")]
+    if any(axis) and beside:
+        problems.error(
+            "two-forms",
+            table.file,
+            f"an axis with position_mm stands beside {', '.join(beside)}.",
+            "give either t_s, axis, position_mm, or t_s and one column for each axis.",
+            [int(table.rows[0])],
         )
     at_mm = {
         name.removesuffix("_mm"): values

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.extras import require
 from thetacomp.reading import text
 from thetacomp.reading.problems import UnreadableError, quoted, shortened
 from thetacomp.reading.workbook import Workbook
@@ -18,6 +21,9 @@ from thetacomp.reading.workbook import Workbook
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
+
+Columns: TypeAlias = "pd.DataFrame | Mapping[str, ArrayLike]"
+"""A table in memory: a pandas DataFrame, or its columns by name."""
 
 ROW_NAMES = "row names"
 EXCEL_ERROR = re.compile(r"#[A-ZÄÖÜ0-9/]+[!?]?")  # #DIV/0!, #N/A, #WERT!, …
@@ -70,25 +76,49 @@ def from_sheet(workbook: Workbook, sheet: str, file: str, row_names: bool = Fals
     return source
 
 
-def from_frame(frame: pd.DataFrame, file: str) -> Source:
-    """A pandas frame; an index that is named like a time column counts as a column. Raises UnreadableError."""
-    import pyarrow as pa
+def from_columns(table: Columns, file: str) -> Source:
+    """A table in memory; an index that is named like a time column counts as a column. Raises UnreadableError."""
+    if isinstance(table, Mapping):
+        names, cells = list(table), [_array_cells(column) for column in table.values()]
+    else:
+        frame = table.reset_index() if table.index.name is not None else table
+        names, cells = list(frame.columns), [_series_cells(frame.iloc[:, i]) for i in range(frame.shape[1])]
+    names = [str(name).strip() for name in names]
+    _refuse_duplicates(names)
+    lengths = {len(column) for column in cells}
+    if len(lengths) > 1:
+        raise UnreadableError(
+            "ragged-rows",
+            f"found columns of {' and '.join(map(str, sorted(lengths)))} values.",
+            "give every column as many values; a missing one is NaN.",
+        )
+    return _typed_source([Column(*pair) for pair in zip(names, cells, strict=True)], max(lengths, default=0), file)
 
-    if frame.index.name is not None:
-        frame = frame.reset_index()
-    _refuse_duplicates([str(name).strip() for name in frame.columns])
-    columns = []
-    for position, name in enumerate(frame.columns):
-        try:
-            array = pa.Array.from_pandas(frame.iloc[:, position])
-        except (pa.ArrowInvalid, pa.ArrowTypeError, pa.ArrowNotImplementedError, OverflowError):
-            columns.append(Column(str(name).strip(), frame.iloc[:, position].tolist()))
-        else:
-            columns.append(Column(str(name).strip(), _arrow_cells(array, str(name))))
-    return _typed_source(columns, len(frame), file)
+
+def _array_cells(column: ArrayLike) -> Floats | list[Any]:
+    """Numbers as floats; times, strings and everything else as Python objects."""
+    array = np.atleast_1d(np.asarray(column))
+    if array.dtype.kind in "iuf" and array.ndim == 1:
+        return array.astype(np.float64)
+    cells = (array.astype("datetime64[us]") if array.dtype.kind == "M" else array).tolist()
+    return [cell.strip() if isinstance(cell, str) else cell for cell in cells]
+
+
+def _series_cells(series: pd.Series[Any]) -> Floats | list[Any]:
+    """The same of a pandas series, NaN or None for a missing value."""
+    import pandas as pd
+
+    objects = zip(series.astype(object).tolist(), series.isna().tolist(), strict=True)
+    cells: list[Any] = [None if missing else cell for cell, missing in objects]
+    if all(cell is None or (isinstance(cell, int | float | Decimal) and not isinstance(cell, bool)) for cell in cells):
+        return np.array([np.nan if cell is None else float(cell) for cell in cells])
+    # A pandas Timestamp counts nanoseconds, a datetime microseconds.
+    cells = [cell.to_pydatetime(warn=False) if isinstance(cell, pd.Timestamp) else cell for cell in cells]
+    return [cell.strip() if isinstance(cell, str) else cell for cell in cells]
 
 
 def _from_parquet(path: Path, file: str) -> Source:
+    require("parquet")
     import pyarrow as pa
     import pyarrow.parquet as pq
 

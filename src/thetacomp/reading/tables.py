@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.names import name_fault
 from thetacomp.reading import text
 from thetacomp.reading.columns import Matched, Schema, match
 from thetacomp.reading.problems import ProblemList, UnreadableError, shortened
@@ -19,6 +20,7 @@ from thetacomp.reading.sources import EXCEL_ERROR, Column, Source
 
 _ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?)?", re.ASCII)
 _DAY_MONTH = re.compile(r"(\d{1,2})([./-])(\d{1,2})\2(\d{4}|\d\d)\b.*", re.ASCII)
+_NUMBER = re.compile(r"[+-]?\d+([.,]\d+)?", re.ASCII)
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MONTHS = (
     *("January", "February", "March", "April", "May", "June"),
@@ -108,6 +110,7 @@ def convert(name: str, matched: Matched, wanted: Schema, problems: ProblemList) 
     for canonical, (column, meaning) in matched.columns.items():
         if meaning.kind == "text":
             texts[canonical] = tuple(_as_text(cell) for cell in _plain(column))
+            good &= canonical == "direction" or _are_names(source, column, texts[canonical], problems)
             continue
         if meaning.kind == "clock":
             clock = _clock(source, column, problems)
@@ -125,6 +128,21 @@ def convert(name: str, matched: Matched, wanted: Schema, problems: ProblemList) 
         if meaning.kind == "time" or canonical in wanted.filled:
             good &= _is_filled(source, column, values, problems)
     return Table(name, matched, elapsed, clock, numbers, texts) if good else None
+
+
+def _are_names(source: Source, column: Column, texts: Sequence[str], problems: ProblemList) -> bool:
+    """No text may be a formula where it comes to a table again; a run or target called -1 is a number."""
+    wrong = [i for i, cell in enumerate(texts) if name_fault(cell) and not _NUMBER.fullmatch(cell)]
+    if wrong:
+        problems.error(
+            "name",
+            source.file,
+            f"found {texts[wrong[0]]!r}: {name_fault(texts[wrong[0]])}.",
+            "give it another name.",
+            source.rows[wrong].tolist(),
+            column.header,
+        )
+    return not wrong
 
 
 def _decimal_sign(matched: Matched) -> str:

@@ -1,5 +1,1 @@
-"""The report: every picture once, and one page that holds them."""
-
-from thetacomp.report.page import write_report
-
-__all__ = ["write_report"]
+"""The report: every picture once, one maker of pages, and the files of each command."""

@@ -1,49 +1,70 @@
-"""The files that an analysis leaves behind, besides the report."""
+"""The files that an analysis leaves behind: model, tables, and with them the report."""
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, fields
-from pathlib import Path
 
 import numpy as np
 
 from thetacomp.analysis_result import Analysis
+from thetacomp.report.page import report_files
 from thetacomp.separation import ComponentSeparation
+from thetacomp.table_file import csv_text, plain
 from thetacomp.validation.families.rows import ComparisonRow
 from thetacomp.validation.rows import ValidationRow
 
+OWN = (
+    "model.json",
+    "report.html",
+    *(f"{name}.csv" for name in (
+        "separation", "angles", "geometry", "keypoints", "validation", "validation_forward", "acceptance", "screening",
+        "sensor_curve", "comparison",
+    )),
+    *(f"figures/{name}*.{ending}" for ending in ("svg", "png") for name in (
+        "machine_sketch", "temperatures", "correlation", "error_over_", "geometry", "drift", "fit_", "before_after_",
+        "screening", "sensor_curve",
+    )),
+)  # fmt: skip
+"""What an analysis writes: older files of these names do not survive a new one in the same folder."""
 
-def write_tables(analysis: Analysis, out: Path) -> tuple[Path, ...]:
-    """Write model.json and the tables of separation, key points, validation, acceptance, screening; return the paths.
 
-    `angles.csv` is written where angles were measured, `sensor_curve.csv` where campaigns suffice to search the best
+def analysis_files(analysis: Analysis) -> dict[str, str | bytes]:
+    """Everything that an analysis leaves behind, by file name: model, tables, report and figures."""
+    return {**table_files(analysis), **report_files(analysis)}
+
+
+def table_files(analysis: Analysis) -> dict[str, str | bytes]:
+    """model.json and the tables of separation, key points, validation, acceptance, screening, by file name.
+
+    `angles.csv` is there where angles were measured, `sensor_curve.csv` where campaigns suffice to search the best
     sensors, `comparison.csv` where families of models were compared.
     Numbers have a decimal point and six significant digits, a missing value is an empty cell, the text is UTF-8.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    analysis.model.save(out / "model.json")
     forward = [row for row in analysis.validation if row.split == "forward"]
     held_out = [row for row in analysis.validation if row.split != "forward"]
-    return (
-        out / "model.json",
-        _table(out / "separation.csv", SEPARATION_COLUMNS, _separation_rows(analysis.separations)),
-        *((_table(out / "angles.csv", ANGLE_COLUMNS, _separation_rows(analysis.angles)),) if analysis.angles else ()),
-        _table(out / "geometry.csv", GEOMETRY_COLUMNS, _geometry_rows(analysis)),
-        _table(out / "keypoints.csv", KEYPOINT_COLUMNS, _keypoint_rows(analysis)),
-        _validation(out / "validation.csv", held_out),
-        _validation(out / "validation_forward.csv", forward),
-        _table(
-            out / "acceptance.csv",
-            ("name", "statistic", "operator", "threshold", "passed", "meaning"),
-            (astuple(check) for check in analysis.acceptance),
-        ),
-        _table(out / "screening.csv", SCREENING_COLUMNS, _screening_rows(analysis)),
-        *((_table(out / "sensor_curve.csv", CURVE_COLUMNS, _curve_rows(analysis)),) if analysis.sensor_curves else ()),
-        *((_comparison(out / "comparison.csv", analysis.comparison),) if analysis.comparison else ()),
-    )
+    validation = _names(ValidationRow)
+    checks = ("name", "statistic", "operator", "threshold", "passed", "meaning")
+    files: dict[str, str | bytes] = {
+        "model.json": analysis.model.to_json(),
+        "separation.csv": _table(SEPARATION_COLUMNS, _separation_rows(analysis.separations)),
+    }
+    if analysis.angles:
+        files["angles.csv"] = _table(ANGLE_COLUMNS, _separation_rows(analysis.angles))
+    files |= {
+        "geometry.csv": _table(GEOMETRY_COLUMNS, _geometry_rows(analysis)),
+        "keypoints.csv": _table(KEYPOINT_COLUMNS, _keypoint_rows(analysis)),
+        "validation.csv": _table(validation, map(astuple, held_out)),
+        "validation_forward.csv": _table(validation, map(astuple, forward)),
+        "acceptance.csv": _table(checks, map(astuple, analysis.acceptance)),
+        "screening.csv": _table(SCREENING_COLUMNS, _screening_rows(analysis)),
+    }
+    if analysis.sensor_curves:
+        files["sensor_curve.csv"] = _table(CURVE_COLUMNS, _curve_rows(analysis))
+    if analysis.comparison:
+        files["comparison.csv"] = _table(_names(ComparisonRow), map(astuple, analysis.comparison))
+    return files
 
 
 SEPARATION_COLUMNS = (
@@ -143,15 +164,6 @@ def _keypoint_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
             yield chosen.axis, chosen.method, "key points", sensor, 1, math.nan, "", "input of the model"
 
 
-def _validation(path: Path, rows: Sequence[ValidationRow]) -> Path:
-    names = tuple(field.name for field in fields(ValidationRow))
-    return _table(path, names, (astuple(row) for row in rows))
-
-
-def _comparison(path: Path, rows: Sequence[ComparisonRow]) -> Path:
-    return _table(path, tuple(field.name for field in fields(ComparisonRow)), (astuple(row) for row in rows))
-
-
 CURVE_COLUMNS = (
     "axis",
     "score",
@@ -179,17 +191,9 @@ def _curve_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
                 yield curve.axis, curve.score, curve.best, *empty, sensor, 100.0 * float(share), curve.shares.draws
 
 
-def _table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([_cell(value) for value in row] for row in rows)
-    return path
+def _names(row: type[ValidationRow] | type[ComparisonRow]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(row))
 
 
-def _cell(value: object) -> object:
-    if isinstance(value, bool):
-        return int(value)
-    if isinstance(value, float):
-        return f"{value:.6g}" if math.isfinite(value) else ""
-    return value
+def _table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    return csv_text(columns, ([plain(value) for value in row] for row in rows), "\r\n")

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
-from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
 
-from thetacomp import __version__
 from thetacomp.campaign import Campaign
 from thetacomp.machine import Machine
 from thetacomp.report.figures_iso230 import positioning_figure, thermal_figure
-from thetacomp.report.page import FIGURE_FOLDER
-from thetacomp.report.rendering import inline_svg, missing_note, render
+from thetacomp.report.pages import page
+from thetacomp.report.rendering import draw
 from thetacomp.report.style import HOUR_S, file_label
 from thetacomp.report.tables import NOT_AVAILABLE, number
 from thetacomp.standards.campaign_tests import Evaluated
@@ -26,8 +20,10 @@ from thetacomp.standards.instrument import Instrument
 from thetacomp.standards.iso230_2 import Positioning
 from thetacomp.standards.iso230_3 import ThermalTest
 from thetacomp.standards.rows import AXIS_SYMBOLS, TARGET_SYMBOLS, Row, axis_u_um, rows
+from thetacomp.table_file import csv_text, plain
 
 TABLE = "iso230.csv"
+OWN = ("iso230*", "figures/iso230-*")
 _ARROWS = {"_up": "↑", "_down": "↓", "_mean": " mean"}
 
 
@@ -41,16 +37,16 @@ class Grid:
     title: str = ""
 
 
-def write_iso230(machine: Machine | None, tests: Sequence[Evaluated], out: Path) -> tuple[Path, ...]:
-    """Write `iso230.csv`, a page for each test and its figure in `figures/`; returns the paths, the table first.
+def iso230_files(machine: Machine | None, tests: Sequence[Evaluated]) -> dict[str, str | bytes]:
+    """`iso230.csv`, a page for each test and its figure in `figures/`, by file name, the table first.
 
     `machine` is None for a lone table. Letters that no installed font can draw are told on stderr.
     """
-    (out / FIGURE_FOLDER).mkdir(parents=True, exist_ok=True)
-    paths = [_write_table([row for test in tests for row in rows(test)], out / TABLE)]
+    cells = ([plain(value) for value in astuple(row)] for test in tests for row in rows(test))
+    files: dict[str, str | bytes] = {TABLE: csv_text([field.name for field in fields(Row)], cells)}
     for name, test in zip(_names(tests), tests, strict=True):
-        paths += _write_page(name, test, machine, out)
-    return tuple(paths)
+        files |= _page_files(name, test, machine)
+    return files
 
 
 def _names(tests: Sequence[Evaluated]) -> list[str]:
@@ -66,21 +62,7 @@ def _names(tests: Sequence[Evaluated]) -> list[str]:
     return names
 
 
-def _write_table(found: Sequence[Row], path: Path) -> Path:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([field.name for field in fields(Row)])
-        writer.writerows([_cell(value) for value in astuple(row)] for row in found)
-    return path
-
-
-def _cell(value: object) -> object:
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else value
-
-
-def _write_page(name: str, test: Evaluated, machine: Machine | None, out: Path) -> list[Path]:
+def _page_files(name: str, test: Evaluated, machine: Machine | None) -> dict[str, str | bytes]:
     result = test.result
     if isinstance(result, Positioning):
         figure = positioning_figure(name, result)
@@ -90,35 +72,21 @@ def _write_page(name: str, test: Evaluated, machine: Machine | None, out: Path) 
         assert machine is not None
         figure = thermal_figure(name, result, test.campaign, machine)
         grids = (_thermal_grid(result),)
-    files = render(figure)
-    svg, png, page = (out / FIGURE_FOLDER / f"{name}.svg", out / FIGURE_FOLDER / f"{name}.png", out / f"{name}.html")
-    svg.write_text(files.svg, encoding="utf-8")
-    png.write_bytes(files.png)
-    if files.missing:
-        print(f"note: {missing_note(list(files.missing))}", file=sys.stderr)
-    environment = Environment(
-        loader=PackageLoader("thetacomp.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    text = environment.get_template("iso230.html.j2").render(
+    drawings = draw([figure])
+    text = page(
+        "thetacomp.report/iso230.html.j2",
         title=test.title,
         machine=machine.name if machine is not None else "",
         campaign=test.campaign,
-        version=__version__,
         unproven=test.campaign is not None and test.campaign.settings.sign == "unproven",
         grids=grids,
         conditions=_conditions(test),
         remarks=result.remarks,
         not_computed=result.not_computed if isinstance(result, ThermalTest) else (),
-        figure=figure,
-        svg=Markup(inline_svg(files.svg, figure.name, str(escape(figure.title)))),  # our own drawing, text escaped
+        figure=drawings.inline()[figure.name],
         positioning=isinstance(result, Positioning),
     )
-    page.write_text(text, encoding="utf-8")
-    return [page, svg, png]
+    return {f"{name}.html": text, **drawings.files()}
 
 
 def digits_for(values: Sequence[float]) -> int:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import io
 import re
+import sys
 import unicodedata
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import matplotlib
+from markupsafe import Markup, escape
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.text import Text
 
 from thetacomp.report import style
 
+FIGURE_FOLDER = "figures"
 PNG_DPI = 160
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 _MISSING = re.compile(r"Glyph (\d+) ")
@@ -52,6 +55,43 @@ def render(named: style.NamedFigure) -> Rendered:
             remarks[f"figure {named.name}: {warning.message}"] = None
     texts = dict.fromkeys(t.get_text() for t in figure.findobj(Text) if letters.intersection(t.get_text()))
     return Rendered(_with_fallback_fonts(svg.getvalue()), png.getvalue(), tuple(texts), tuple(remarks))
+
+
+@dataclass(frozen=True)
+class Drawings:
+    """Figures with what was drawn of them, in order: for files and for the inside of a page."""
+
+    figures: tuple[style.NamedFigure, ...] = ()
+    rendered: tuple[Rendered, ...] = ()
+
+    def files(self, folder: str = FIGURE_FOLDER) -> dict[str, str | bytes]:
+        """Every figure as SVG and PNG, by file name."""
+        found: dict[str, str | bytes] = {}
+        for figure, drawn in zip(self.figures, self.rendered, strict=True):
+            found[f"{folder}/{figure.name}.svg"] = drawn.svg
+            found[f"{folder}/{figure.name}.png"] = drawn.png
+        return found
+
+    def inline(self) -> dict[str, tuple[style.NamedFigure, Markup]]:
+        """Figure and its SVG for a page, by name. The drawing is our own, its texts are escaped."""
+        return {
+            figure.name: (figure, Markup(inline_svg(drawn.svg, figure.name, str(escape(figure.title)))))
+            for figure, drawn in zip(self.figures, self.rendered, strict=True)
+        }
+
+    def remarks(self) -> list[str]:
+        """What went wrong in drawing, as sentences; letters without a font in one of them."""
+        missing = dict.fromkeys(text for drawn in self.rendered for text in drawn.missing)
+        remarks = dict.fromkeys(remark for drawn in self.rendered for remark in drawn.remarks)
+        return ([missing_note(list(missing))] if missing else []) + list(remarks)
+
+
+def draw(figures: Sequence[style.NamedFigure]) -> Drawings:
+    """Draw all figures of a page. What went wrong is told on stderr, once."""
+    drawings = Drawings(tuple(figures), tuple(render(figure) for figure in figures))
+    for remark in drawings.remarks():
+        print(f"note: {remark}", file=sys.stderr)
+    return drawings
 
 
 def missing_note(texts: Sequence[str]) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.lines import Line2D
@@ -17,6 +15,7 @@ from thetacomp.report import style
 from thetacomp.report.rendering import render
 from thetacomp.report.style import HOUR_S
 from thetacomp.separation.reference import reference_time_s
+from thetacomp.table_file import csv_text, fixed
 
 TABLE_FILE = "replay.csv"
 FIGURE_NAME = "replay"
@@ -52,23 +51,18 @@ def replay_lines(replays: Sequence[CampaignReplay]) -> list[str]:
     return lines
 
 
-def write_replay(replays: Sequence[CampaignReplay], out: Path) -> tuple[Path, ...]:
-    """Write replay.csv and the picture of the campaign that loses most; returns the paths."""
-    with (out / TABLE_FILE).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            ["campaign", "axis", "register", "cause", "largest_um", "p95_um", "largest_at_s", "share_of_time"]
-        )
-        for one in replays:
-            for x in one.losses:
-                figures = (f"{x.largest_um:.3f}", f"{x.p95_um:.3f}", f"{x.largest_at_s:.0f}", f"{x.share_of_time:.4f}")
-                writer.writerow([one.campaign, x.axis, x.register, x.cause, *figures])
+def replay_files(replays: Sequence[CampaignReplay]) -> dict[str, str | bytes]:
+    """replay.csv and the picture of the campaign that loses most, by file name."""
+    head = ["campaign", "axis", "register", "cause", "largest_um", "p95_um", "largest_at_s", "share_of_time"]
+    rows = [
+        (one.campaign, x.axis, x.register, x.cause, fixed(x.largest_um, 3), fixed(x.p95_um, 3),
+         fixed(x.largest_at_s, 0), fixed(x.share_of_time, 4))
+        for one in replays
+        for x in one.losses
+    ]  # fmt: skip
     worst = max(replays, key=lambda one: max(x.largest_um for x in one.losses if x.cause == TOGETHER))
     drawn = render(replay_figure(worst))
-    svg, png = out / f"{FIGURE_NAME}.svg", out / f"{FIGURE_NAME}.png"
-    svg.write_text(drawn.svg, encoding="utf-8")
-    png.write_bytes(drawn.png)
-    return out / TABLE_FILE, svg, png
+    return {TABLE_FILE: csv_text(head, rows), f"{FIGURE_NAME}.svg": drawn.svg, f"{FIGURE_NAME}.png": drawn.png}
 
 
 @style.styled

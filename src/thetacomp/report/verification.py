@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
 
-from thetacomp import __version__
 from thetacomp.report import tables
 from thetacomp.report.figures_verification import verification_figures
-from thetacomp.report.page import FIGURE_FOLDER
-from thetacomp.report.rendering import inline_svg, render
-from thetacomp.report.style import NamedFigure
+from thetacomp.report.pages import page
+from thetacomp.report.rendering import Drawings, draw
+from thetacomp.table_file import Cell, Number, csv_text, fixed
 from thetacomp.verification.findings import BeforeAfter, RunFacts, Verification
 
+OWN = ("verification*", "figures/verification_*")
 PAGE_FILE = "verification.html"
 _MOST_ROWS = 14
 _MOST_NOTES = 4
@@ -34,48 +30,25 @@ class RiseLine:
     on_K: float
 
 
-def write_verification(result: Verification, out: Path) -> tuple[Path, ...]:
-    """Write the page, three tables and the figures into `out`; returns the paths, the page first."""
-    folder = out / FIGURE_FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
-    figures = verification_figures(result)
-    drawn = [render(figure) for figure in figures]
-    paths = [out / PAGE_FILE, *_write_tables(result, out)]
-    for figure, files in zip(figures, drawn, strict=True):
-        svg, png = folder / f"{figure.name}.svg", folder / f"{figure.name}.png"
-        svg.write_text(files.svg, encoding="utf-8")
-        png.write_bytes(files.png)
-        paths += [svg, png]
-    inline = {
-        figure.name: (figure, Markup(inline_svg(files.svg, figure.name, str(escape(figure.title)))))
-        for figure, files in zip(figures, drawn, strict=True)
-        if figure.section == "page"
-    }
-    paths[0].write_text(_page(result, inline), encoding="utf-8")
-    return tuple(paths)
+def verification_files(result: Verification) -> dict[str, str | bytes]:
+    """The page, three tables and the figures, by file name, the page first."""
+    drawings = draw(verification_figures(result))
+    return {PAGE_FILE: _page(result, drawings), **_tables(result), **drawings.files()}
 
 
-def _page(result: Verification, figures: Mapping[str, tuple[NamedFigure, Markup]]) -> str:
-    environment = Environment(
-        loader=PackageLoader("thetacomp.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(number=tables.number, sentence=tables.sentence)
+def _page(result: Verification, drawings: Drawings) -> str:
     rows = _rows_to_show(result)
-    return environment.get_template("verification.html.j2").render(
+    return page(
+        "thetacomp.report/verification.html.j2",
         result=result,
         rows=rows,
         left_out=len(result.rows) - len(rows),
         names={row.component: tables.component_name(row.component).replace("deviation", "dev.") for row in rows},
         straightness=_straightness_to_show(result),
         rises=_rises(result.off, result.on),
-        figures=figures,
+        figures={name: drawn for name, drawn in drawings.inline().items() if drawn[0].section == "page"},
         notes=result.notes[:_MOST_NOTES],
         more_notes=max(0, len(result.notes) - _MOST_NOTES),
-        version=__version__,
         isfinite=np.isfinite,
     )
 
@@ -99,8 +72,8 @@ def _rises(off: RunFacts, on: RunFacts) -> list[RiseLine]:
     return [RiseLine(name, rise, rises.get(name, float("nan"))) for name, rise in off.rises_K[:_MOST_SENSORS]]
 
 
-def _write_tables(result: Verification, out: Path) -> list[Path]:
-    before_after = [
+def _tables(result: Verification) -> dict[str, str]:
+    before_after: list[Sequence[Cell]] = [
         (row.component, row.states_off, row.states_on, s.kind, *map(_plain, (
             s.before_um, s.like_before_um, s.after_um, s.reduction_percent, s.like_reduction_percent,
             s.low_percent, s.high_percent,
@@ -108,33 +81,27 @@ def _write_tables(result: Verification, out: Path) -> list[Path]:
         for row in result.rows
         for s in row.statistics
     ]  # fmt: skip
-    shares = [
+    shares: list[Sequence[Cell]] = [
         (s.component, s.part, *map(_plain, (s.value, s.low, s.high)), s.kind, int(s.material),
          *map(_plain, (s.size_um, s.unexplained_um, s.usual_um)))
         for s in result.shares
     ]  # fmt: skip
     harm = [
-        (one.component, f"{t:.0f}", f"{p:.3f}", _plain(one.harm_um[k, j]))
+        (one.component, fixed(t, 0), fixed(p, 3), _plain(one.harm_um[k, j]))
         for one in result.harm
         for k, t in enumerate(one.t_s)
         for j, p in enumerate(one.position_mm)
     ]
     head = "component,states_off,states_on,statistic,before_um,like_before_um,after_um,reduction_percent,"
     head += "like_reduction_percent,like_reduction_lo_percent,like_reduction_hi_percent"
-    made = [_csv(out / "verification.csv", head, before_after)]
-    head = "component,part,share,share_lo,share_hi,kind,material,size_um,unexplained_um,usual_um"
-    made.append(_csv(out / "verification_share.csv", head, shares))
-    made.append(_csv(out / "verification_harm.csv", "component,t_s,position_mm,harm_um", harm))
-    return made
+    harm_head = "component,t_s,position_mm,harm_um"
+    share_head = "component,part,share,share_lo,share_hi,kind,material,size_um,unexplained_um,usual_um"
+    return {
+        "verification.csv": csv_text(head.split(","), before_after),
+        "verification_share.csv": csv_text(share_head.split(","), shares),
+        "verification_harm.csv": csv_text(harm_head.split(","), harm),
+    }
 
 
-def _csv(path: Path, head: str, rows: Iterable[Sequence[object]]) -> Path:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(head.split(","))
-        writer.writerows(rows)
-    return path
-
-
-def _plain(value: float) -> str:
-    return f"{value:.3f}" if np.isfinite(value) else ""
+def _plain(value: float) -> Number | str:
+    return fixed(value, 3)

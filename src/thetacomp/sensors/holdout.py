@@ -3,35 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
 from thetacomp.sensors.parameters import INTERCEPT, ParameterTable
-
-MANY_STATES = 50
-BLOCKS = 10
-
-
-@dataclass(frozen=True)
-class Folds:
-    """What is held out together: `index` (n,) counts the folds from 0; `scheme` says it in words."""
-
-    index: Ints
-    scheme: str
-
-
-def folds(campaign: Ints) -> Folds:
-    """Leave one campaign out; with one campaign leave one state out, or one of ten blocks in time where it is long."""
-    known = np.unique(campaign)
-    if len(known) > 1:
-        return Folds(np.searchsorted(known, campaign), "one campaign left out")
-    n = len(campaign)
-    if n <= MANY_STATES:
-        return Folds(np.arange(n), "one state left out")
-    # Neighbours of a long series are nearly copies: only whole blocks are new to the model.
-    return Folds(np.arange(n) * BLOCKS // n, f"one of {BLOCKS} blocks in time left out")
 
 
 def line_targets(table: ParameterTable, votes: Sequence[bool]) -> tuple[Floats, Ints]:

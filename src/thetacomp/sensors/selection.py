@@ -9,16 +9,16 @@ from typing import Literal
 import numpy as np
 
 from thetacomp.arrays import Floats
-from thetacomp.campaign import CorrelationTable, MachineFolder
+from thetacomp.campaign import CorrelationTable
 from thetacomp.errors import AnalysisError
+from thetacomp.folds import fold_numbers
 from thetacomp.machine import Machine
 from thetacomp.sensors import strategies
 from thetacomp.sensors.correlation import correlations, effective_count, full_symmetric, p_value
-from thetacomp.sensors.holdout import HoldOut, folds, line_targets
+from thetacomp.sensors.holdout import HoldOut, line_targets
 from thetacomp.sensors.key_points import AxisKeyPoints, StrategyTable, Verdict
 from thetacomp.sensors.parameters import ParameterTable, parameter_table
-from thetacomp.separation.component import ComponentSeparation
-from thetacomp.states import axis_states
+from thetacomp.states import AxisStates
 
 Method = Literal["weighted", "paper"]
 
@@ -38,15 +38,10 @@ def drive_sensors(machine: Machine | None, axis: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*named, *(s.id for s in machine.sensors if s.role == "drive" and s.axis == axis)]))
 
 
-def key_points(
-    folder: MachineFolder, separations: Sequence[ComponentSeparation], method: Method = "weighted"
-) -> tuple[AxisKeyPoints, ...]:
-    """Key points of every separated axis from the measurements of a folder; drift at a fixed position is axis ""."""
-    out = []
-    for states in axis_states(folder, separations, [c.name for c in folder.campaigns]):
-        table, drives = parameter_table(states), drive_sensors(folder.machine, states.axis)
-        out.append(select_key_points(table, drives) if method == "weighted" else paper_key_points(table, drives))
-    return tuple(out)
+def key_points(machine: Machine, states: AxisStates, method: Method = "weighted") -> AxisKeyPoints:
+    """Key points of one axis from its training states, by our way or the paper's."""
+    choose = select_key_points if method == "weighted" else paper_key_points
+    return choose(parameter_table(states), drive_sensors(machine, states.axis))
 
 
 def key_points_from_correlations(
@@ -282,9 +277,9 @@ def _fewest(
     rows &= np.isfinite(target).any(axis=1) if target.size else False
     n = int(np.count_nonzero(rows))
     limit = min(max_key_points, max(n // STATES_PER_INPUT, 1), FEW_STATES_INPUTS if n < FEW_STATES else max_key_points)
-    fold = folds(table.campaign[rows])
+    fold = fold_numbers(table.campaign[rows])
     hold_out = HoldOut(rise_K[rows][:, columns], target[rows], owner, fold.index)
-    fewest = strategies.fewest_sensors(table.axis, candidates, hold_out.rms_um, limit, fold.scheme)
+    fewest = strategies.fewest_sensors(table.axis, candidates, hold_out.rms_um, limit, fold.in_words)
     if n >= FEW_STATES:
         return fewest
     warning = f"; only {n} states, so chance can look like a cause: measure more before trusting it"

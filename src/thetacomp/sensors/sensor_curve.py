@@ -17,6 +17,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.moments import Summary, summarise
 from thetacomp.sensors.holdout import line_targets
 from thetacomp.sensors.parameters import parameter_table
+from thetacomp.sensors.subset import best_subset, selection_frequency
 from thetacomp.states import AxisStates
 
 if TYPE_CHECKING:
@@ -109,8 +110,6 @@ def sensor_curve(
     `budget_s` is for each number of sensors; `stop` is asked between rounds of the search. Raises AnalysisError where
     campaigns, states or sensors are too few.
     """
-    from thetacomp.sensors.subset import best_subset  # compiles its loops: only where a search runs
-
     summaries = campaign_summaries(states)
     inputs, rows = len(summaries[0].inputs), sum(s.count for s in summaries)
     training_rows = (rows - max(s.count for s in summaries)) // (2 if states.exact_zero else 1)
@@ -214,8 +213,6 @@ def _shares(
     summaries: Sequence[Summary], count: int, score: ScoreName, weights_um: Sequence[float]
 ) -> SelectionShares | None:
     """200 draws where there are few sets, 50 where there are many, none where they would take minutes."""
-    from thetacomp.sensors.subset import selection_frequency
-
     sets = comb(len(summaries[0].inputs), count)
     draws = 200 if sets <= 20_000 else 50 if sets <= 1_000_000 else 0
     if not draws:

@@ -1,4 +1,4 @@
-"""The proven best k of p sensors: branch and bound over subsets, on all cores, from campaign summaries alone.
+"""The proven best k of p sensors: branch and bound over subsets, from campaign summaries alone.
 
 A subset explains the targets by least squares with intercept. It is scored by its residual over all rows, by its
 leave-one-campaign-out error, or by that error in the worst campaign. Its residual sum of squares never exceeds its
@@ -8,10 +8,8 @@ search leaves out cannot be better (Furnival, Wilson 1974, "Regressions by leaps
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import comb, inf, nan
 from typing import Literal
@@ -27,9 +25,8 @@ from thetacomp.sensors._subset_bounds import branch
 
 Score = Literal["residual", "held_out", "worst_campaign"]
 _MODES = {"residual": kernel.RESIDUAL, "held_out": kernel.HELD_OUT, "worst_campaign": kernel.WORST}
-Nodes = NDArray[np.int32]
 
-# Subsets compared in one round of all threads: some tens of milliseconds, so that progress and budget are kept.
+# Subsets compared in one round: some tenths of a second, so that progress and budget are kept.
 _ROUND_WORK = 3e7
 _ROUND_CELLS = 4_000_000
 # Beyond this many open nodes the deepest are worked on first, to keep the memory bounded.
@@ -276,19 +273,9 @@ def _products(campaigns: Sequence[Summary], weights: Floats, score: Score) -> tu
         test_gram=np.array([t[0] for t in test]).reshape(-1, p, p),
         test_mixed=np.array([t[1] for t in test]).reshape(-1, p, q),
         test_squares=np.array([t[2] for t in test]),
-        row_parts=_row_parts(train, test, p),
         share=total.count / counts if score == "worst_campaign" else np.ones(len(rests)),
     )
     return products, squares / total.count
-
-
-def _row_parts(train: Sequence[tuple[Floats, Floats]], test: Sequence[tuple[Floats, Floats, float]], p: int) -> Floats:
-    """Per campaign the four (p, p) matrices that give held-out errors without a look at single targets."""
-    parts = np.empty((len(train), 4, p, p))
-    for part, (train_gram, train_mixed), (test_gram, test_mixed, _) in zip(parts, train, test, strict=True):
-        mixed = train_mixed @ test_mixed.T
-        part[:] = train_gram, train_mixed @ train_mixed.T, test_gram, (mixed + mixed.T) / 2.0
-    return parts
 
 
 def _search(
@@ -302,60 +289,46 @@ def _search(
     """Best subset, its score, the bound below all scores, and the number of subsets compared."""
     p = len(products.gram)
     began_s = time.monotonic()
-    best = np.zeros(k, dtype=np.int64)
-    value = kernel.local_search(products, k, np.arange(p), best)
+    best = kernel.Incumbent(products, k)
+    kernel.local_search(best)
     if k == 1:
-        return best.tolist(), value, value, p
-    products = _hardest_first(products, best)
-    root = np.concatenate(([0, p], np.arange(p))).astype(np.int32)[None, :]
-    nodes, bounds = root, np.zeros(1)
-    evaluated, worked, threads = 0, 0, os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as pool:
-        while len(nodes):
-            batch = _next_batch(nodes, bounds, k, len(products.share))
-            found = _work_batch(pool, threads, products, k, nodes[batch], bounds[batch], best, value)
-            worked += len(batch)
-            kept = np.ones(len(nodes), dtype=bool)
-            kept[batch] = False
-            best, value, evaluated = found.best, found.value, evaluated + found.compared
-            nodes = np.concatenate((nodes[kept], *found.children))
-            bounds = np.concatenate((bounds[kept], *found.bounds))
-            alive = bounds <= value + kernel.TIE
-            nodes, bounds = nodes[alive], bounds[alive]
-            elapsed_s = time.monotonic() - began_s
-            open_subsets = float(sum(comb(int(n[1]), k - int(n[0])) for n in nodes[:, :2]))
-            report(
-                1.0 - open_subsets / comb(p, k), value, min([value, *bounds[:1], bounds.min(initial=inf)]), elapsed_s
-            )
-            spent = (
-                (budget_s is not None and elapsed_s >= budget_s)
-                or (budget_nodes is not None and worked >= budget_nodes)
-                or (stop is not None and stop())
-            )
-            if spent:
-                break
-    return best.tolist(), value, float(min(value, bounds.min(initial=inf))), evaluated
+        return best.subset.tolist(), best.value, best.value, p
+    best.products = _hardest_first(products, best.subset)
+    nodes = np.concatenate(([0, p], np.arange(p))).astype(np.int32)[None, :]
+    bounds = np.zeros(1)
+    evaluated, worked = 0, 0
+    while len(nodes):
+        batch = _next_batch(nodes, bounds, k, len(products.share))
+        compared, children, child_bounds = _work_batch(best, k, nodes[batch], bounds[batch])
+        worked, evaluated = worked + len(batch), evaluated + compared
+        kept = np.ones(len(nodes), dtype=bool)
+        kept[batch] = False
+        nodes = np.concatenate((nodes[kept], *children))
+        bounds = np.concatenate((bounds[kept], *child_bounds))
+        alive = bounds <= best.value + kernel.TIE
+        nodes, bounds = nodes[alive], bounds[alive]
+        elapsed_s = time.monotonic() - began_s
+        kinds, number = np.unique(nodes[:, :2], axis=0, return_counts=True)
+        open_subsets = sum(n * comb(free, k - chosen) for (chosen, free), n in zip(kinds.tolist(), number, strict=True))
+        report(1.0 - open_subsets / comb(p, k), best.value, float(bounds.min(initial=best.value)), elapsed_s)
+        spent = (
+            (budget_s is not None and elapsed_s >= budget_s)
+            or (budget_nodes is not None and worked >= budget_nodes)
+            or (stop is not None and stop())
+        )
+        if spent:
+            break
+    return best.subset.tolist(), best.value, float(bounds.min(initial=best.value)), evaluated
 
 
 def _hardest_first(products: kernel.Products, best: NDArray[np.int64]) -> kernel.Products:
     """The campaigns in falling order of their error under a good subset: most others then fail at the first one."""
-    lower, solved, squares = kernel.workspace(products, len(best))
-    kernel.score(products, best, inf, lower, solved, squares)
-    order = np.argsort(-squares * products.share, kind="stable")
-    per_campaign = ("train_gram", "train_mixed", "test_gram", "test_mixed", "test_squares", "row_parts", "share")
+    order = np.argsort(-kernel.fold_squares(products, best) * products.share, kind="stable")
+    per_campaign = ("train_gram", "train_mixed", "test_gram", "test_mixed", "test_squares", "share")
     return products._replace(**{name: getattr(products, name)[order] for name in per_campaign})
 
 
-@dataclass(frozen=True)
-class _Found:
-    best: NDArray[np.int64]
-    value: float
-    compared: int
-    children: tuple[Nodes, ...]
-    bounds: tuple[Floats, ...]
-
-
-def _next_batch(nodes: Nodes, bounds: Floats, k: int, folds: int) -> NDArray[np.intp]:
+def _next_batch(nodes: kernel.Nodes, bounds: Floats, k: int, folds: int) -> NDArray[np.intp]:
     """The open nodes to work on next: those with the lowest bounds, as they hold the gap open."""
     most = max(1, min(len(nodes), _ROUND_CELLS // nodes.shape[1] ** 2))
     rank = bounds if len(nodes) <= _MOST_OPEN else -nodes[:, 0]
@@ -368,33 +341,14 @@ def _next_batch(nodes: Nodes, bounds: Floats, k: int, folds: int) -> NDArray[np.
 
 
 def _work_batch(
-    pool: ThreadPoolExecutor,
-    threads: int,
-    products: kernel.Products,
-    k: int,
-    nodes: Nodes,
-    bounds: Floats,
-    best: NDArray[np.int64],
-    value: float,
-) -> _Found:
-    """Share the nodes out to the threads and join what they find; ties go to the subset that is listed first."""
-    incumbent = np.array([value])
-    p = nodes.shape[1] - 2
-
-    inner = k - nodes[:, 0] > 3
-
-    def one(first: int) -> tuple[NDArray[np.int64], float, int, Nodes, Floats]:
-        own = best.copy()
-        own_value, compared = kernel.search(
-            products, k, nodes[~inner], bounds[~inner], first, threads, own, value, incumbent
-        )
-        mine, mine_bounds = nodes[inner][first::threads], bounds[inner][first::threads]
-        children, child_bounds = np.empty((len(mine) * p, p + 2), dtype=np.int32), np.empty(len(mine) * p)
-        number = branch(products, k, mine, mine_bounds, incumbent[0], children, child_bounds)
-        return own, own_value, compared, children[:number], child_bounds[:number]
-
-    results = list(pool.map(one, range(threads)))
-    for own, own_value, *_ in results:
-        if own_value < value - kernel.TIE or (own_value <= value + kernel.TIE and own.tolist() < best.tolist()):
-            best, value = own, own_value
-    return _Found(best, value, sum(r[2] for r in results), tuple(r[3] for r in results), tuple(r[4] for r in results))
+    best: kernel.Incumbent, k: int, nodes: kernel.Nodes, bounds: Floats
+) -> tuple[int, list[kernel.Nodes], list[Floats]]:
+    """Compare the subsets of nodes near the leaves, split the others: subsets compared, children and their bounds."""
+    compared, children = 0, []
+    for group in kernel.alike(nodes):
+        if k - nodes[group[0], 0] > 3:
+            children.append(branch(best.products, k, nodes[group], bounds[group], best.value))
+        else:
+            compared += kernel.compare(nodes[group], k, best)
+    best.settle()
+    return compared, [nodes for nodes, _ in children], [bounds for _, bounds in children]

@@ -46,6 +46,22 @@ def cold_block_change_K(campaign: Campaign, reference_s: float) -> Floats:
     return np.asarray(last - first)
 
 
+def cold_block_notes(campaign: Campaign) -> list[str]:
+    """A cold block that warms up is no reference: its heat is taken for geometry."""
+    if campaign.sweeps is None:
+        return []
+    change_K = cold_block_change_K(campaign, reference_time_s(campaign))
+    span_K = np.nanmax(campaign.temperatures.value_degC, axis=0) - np.nanmin(campaign.temperatures.value_degC, axis=0)
+    moved = np.flatnonzero((np.abs(change_K) > 0.5) & (np.abs(change_K) > 0.1 * span_K))
+    if not len(moved):
+        return []
+    worst = ", ".join(f"{campaign.temperatures.sensor_ids[j]} {change_K[j]:+.1f} K" for j in moved[:4])
+    return [
+        f"campaign {campaign.name}: {len(moved)} sensors move during the cold block ({worst}), more than a tenth of"
+        " their span: part of the thermal error is taken for geometry; measure the cold block before any heat"
+    ]
+
+
 def refuse_reference_in_a_sweep(campaign: Campaign, reference_s: float) -> None:
     """The cold block ends between two sweeps. Raises AnalysisError where the stated reference cuts one."""
     if campaign.sweeps is None:

@@ -8,11 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from thetacomp.model.document import AxisLaw, ModelDocument
-from thetacomp.validation.rows import AcceptanceCheck, PermutationTest, ValidationRow
-from thetacomp.validation.validate import ALL_CAMPAIGNS, NOTHING, Residuals
-
-DEFAULT = "default"
-KEY_POINTS = "key_points"
+from thetacomp.validation.rows import (
+    CLOCK,
+    DEFAULT,
+    KEY_POINTS,
+    NOTHING,
+    AcceptanceCheck,
+    PermutationTest,
+    ValidationRow,
+)
+from thetacomp.validation.validate import ALL_CAMPAIGNS, Residuals
 
 MAX_RESIDUAL_RATIO = 0.5
 # At 1.0 a model is as good as a clock, which proves nothing about the thermometer: it must be clearly better.
@@ -88,13 +93,18 @@ def acceptance_of_static_law(
     )
 
 
+def fit_for_use(acceptance: Sequence[AcceptanceCheck]) -> bool:
+    """True where every acceptance check is passed."""
+    return all(check.passed for check in acceptance)
+
+
 def in_words(check: AcceptanceCheck) -> str:
     """A check as one line: name, what was found, what is required."""
     return f"{check.name}: {check.statistic:.3g} (must be {check.operator} {check.threshold:g})"
 
 
 def _reductions(label: str, own: Sequence[Residuals]) -> list[AcceptanceCheck]:
-    before, after, clock = (_rms(own, name) for name in (NOTHING, DEFAULT, "clock"))
+    before, after, clock = (_rms(own, name) for name in (NOTHING, DEFAULT, CLOCK))
     return [
         _at_most(
             f"{label}: residual RMS / uncompensated RMS, held out",

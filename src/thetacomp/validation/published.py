@@ -11,9 +11,9 @@ import numpy as np
 
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.key_point_law import AxisModel
-from thetacomp.fitting.procedures import paper_procedure
-from thetacomp.separation import separate_folder
-from thetacomp.states import AxisStates, axis_states
+from thetacomp.fitting.training import train
+from thetacomp.preparation import prepare
+from thetacomp.states import AxisStates
 
 # A correlation below this leaves the coefficients so uncertain that a comparison proves nothing.
 MIN_CORRELATION = 0.9
@@ -69,12 +69,10 @@ def compare_with_published(
     In absolute temperatures and with the cold residue left in: a publication that does not refer its parameters to the
     cold state keeps a constant there; it is added back here.
     """
-    procedure = paper_procedure(folder.machine)
-    names = [campaign.name for campaign in folder.campaigns]
-    fitted = [(states, procedure(states)) for states in axis_states(folder, separate_folder(folder), names)]
     rows: list[CoefficientComparison] = []
+    trained = train(prepare(folder), axes=(), lost=())
     for equation in equations:
-        for states, model in fitted:
+        for states, model in trained.fitted_paper:
             if equation.component in states.components and model.inputs == (equation.sensor,):
                 rows += _compare(equation, states, model)
     return tuple(rows)

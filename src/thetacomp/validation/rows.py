@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 from thetacomp.arrays import Floats
 
+# What `ValidationRow.model` says.
+NOTHING, DEFAULT, KEY_POINTS, CLOCK = "nothing", "default", "key_points", "clock"
+ONE_SENSOR, ALL_SENSORS, TRAINING_MEAN = "one_sensor", "all_sensors", "training_mean"
+
 
 @dataclass(frozen=True)
 class ValidationRow:

@@ -9,13 +9,22 @@ import numpy as np
 
 from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.folds import Fold, training_states
 from thetacomp.fitting.key_point_law import AnyProcedure, Predictor
+from thetacomp.folds import Fold, training_states
 from thetacomp.states import AxisStates, Samples
-from thetacomp.validation.rows import HeldOutStates, ValidationRow
+from thetacomp.validation.rows import NOTHING, HeldOutStates, ValidationRow
 
-NOTHING = "nothing"
 ALL_CAMPAIGNS = "all"
+
+
+@dataclass(frozen=True)
+class AxisTask:
+    """One axis to judge: its states, the kind of split and its folds, and its Cartesian direction."""
+
+    states: AxisStates
+    split: str
+    folds: tuple[Fold, ...]
+    cartesian: str
 
 
 @dataclass(frozen=True)

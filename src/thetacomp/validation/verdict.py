@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thetacomp.model.document import AxisLaw, ModelDocument
-from thetacomp.validation.acceptance import DEFAULT, KEY_POINTS
-from thetacomp.validation.rows import ValidationRow
+from thetacomp.validation.rows import DEFAULT, KEY_POINTS, ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS
 
 

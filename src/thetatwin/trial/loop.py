@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 
 from thetacomp.arrays import CARTESIAN, Floats, Ints
 from thetacomp.campaign import MachineFolder
-from thetacomp.fitting.key_point_law import clock
+from thetacomp.fitting.training import train
 from thetacomp.machine import Axis
 from thetacomp.model.document import ModelDocument
+from thetacomp.preparation import Prepared, prepare
 from thetacomp.reading import read_folder
 from thetacomp.screening import fit_screening
 from thetacomp.states import DRIFT
 from thetatwin.campaigns import Correction, Record, Twin, make_twin, plan_campaigns, run_campaign
 from thetatwin.conditions import Conditions
-from thetatwin.trial.calibration import Calibration, calibrate, stored_models
+from thetatwin.trial.clock import clock_error_um
 from thetatwin.trial.live import LiveReadings, live_error_um, live_readings
-from thetatwin.trial.training import clock_samples
 from thetatwin.virtual import VirtualMachine
 from thetatwin.writer import write_machine_folder
 
@@ -196,15 +196,16 @@ def corrections(folder: MachineFolder, off: Record, screening: bool = True) -> M
 
     All campaigns of the folder train but the one of `off`, whose readings are screened by what the others taught.
     """
-    train = [c.name for c in folder.campaigns if c.name != off.plan.name]
-    taught = calibrate(folder, train, (COLUMN,), screening)
-    healthy = fit_screening([folder.campaign(name).temperatures for name in train]) if screening else None
+    names = [c.name for c in folder.campaigns if c.name != off.plan.name]
+    healthy = fit_screening([folder.campaign(name).temperatures for name in names]) if screening else None
     live = live_readings(folder.campaign(off.plan.name), healthy)
-    model, paper_model = stored_models(taught, live.ever_lost)
+    prepared = prepare(folder, names, faults="repair" if screening else "ignore", mix=True)
+    # A fallback is fitted where its sensor is lost: one for each sensor takes longer than all the rest.
+    trained = train(prepared, (COLUMN, DRIFT), live.ever_lost)
     return {
-        DEFAULT: _by_model(model, live, off),
-        ONE_SENSOR: _by_model(paper_model, live, off),
-        CLOCK: _by_clock(taught, off),
+        DEFAULT: _by_model(trained.model, live, off),
+        ONE_SENSOR: _by_model(trained.paper_model, live, off),
+        CLOCK: _by_clock(prepared, off),
     }
 
 
@@ -220,32 +221,18 @@ def _by_model(model: ModelDocument, live: LiveReadings, off: Record) -> Correcti
     return correction
 
 
-def _by_clock(taught: Calibration, off: Record) -> Correction:
+def _by_clock(prepared: Prepared, off: Record) -> Correction:
     # Hours count from the middle of the cold sweeps, as in the states that the clock was fitted on.
     zero_s = off.truth.t_s[(off.truth.t_s <= off.reference_s) & (off.truth.axis >= 0)].mean()
+    states = [one for one in prepared.training if one.axis in (COLUMN, DRIFT)]
 
     def correction(t_s: Floats, reading: Floats, at_s: Floats, positions_mm: Mapping[str, Floats]) -> Floats:
-        rows = _column_rows(taught.folder.machine.axes, positions_mm)
+        rows = _column_rows(prepared.folder.machine.axes, positions_mm)
         out = np.zeros((len(at_s), 3))
-        out[rows] = -clock_error_um(taught, (at_s[rows] - zero_s) / 3600.0, positions_mm[COLUMN][rows])
+        out[rows] = -clock_error_um(states, (at_s[rows] - zero_s) / 3600.0, {COLUMN: positions_mm[COLUMN][rows]})
         return out
 
     return correction
-
-
-def clock_error_um(taught: Calibration, hours: Floats, position_mm: Floats) -> Floats:
-    """The column's error by the clock alone, (n, 3) in µm, after `hours` (n,) at `position_mm` (n,) of the column.
-
-    In the joint form it has two parts, each by a clock of its own: what the column adds, and the drift, counted once.
-    """
-    out = np.zeros((len(hours), 3))
-    for states in (taught.of_axis(COLUMN), taught.of_axis(DRIFT)):
-        timed = clock(states)
-        lever_m = 0.0 if states.is_drift else (position_mm - states.p0_mm) / 1000.0
-        samples = clock_samples(states, hours, lever_m)
-        for name in states.components:
-            out[:, CARTESIAN.index(name[1])] += timed.predict(name, states, samples)[0]
-    return out
 
 
 def _column_rows(axes: Sequence[Axis], positions_mm: Mapping[str, Floats]) -> Ints:

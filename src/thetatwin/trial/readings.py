@@ -16,7 +16,6 @@ from thetacomp.campaign import MachineFolder
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening
-from thetacomp.screening.campaigns import screened
 from thetatwin.hall import DAY_S
 from thetatwin.year import LEAD_DAYS, Readings
 
@@ -60,11 +59,6 @@ def as_read(sensor_ids: Sequence[str], months: Sequence[Readings]) -> ScreenedYe
         (),
         judged=False,
     )
-
-
-def screened_training(folder: MachineFolder) -> MachineFolder:
-    """The training campaigns as `analyze` uses them."""
-    return screened(folder, [campaign.name for campaign in folder.campaigns]).folder
 
 
 def screening_model(folder: MachineFolder) -> ScreeningModel:

@@ -1,7 +1,8 @@
 """The trial of a year: a model trained in some days runs for months, frozen and with one five-minute probe a day.
 
-Training and prediction are those of every user: measured campaigns, the procedures of `analyze`, `predict`. The model
-sees the training days, the readings and the probes; the truth of the virtual machine judges it.
+Training and prediction are those of every user: measured campaigns, `prepare` and `train` as in `analyze`, the
+prediction at positions of all axes. The model sees the training days, the readings and the probes; the truth of the
+virtual machine judges it.
 """
 
 from __future__ import annotations
@@ -12,28 +13,28 @@ from pathlib import Path
 
 import numpy as np
 
-from thetacomp.arrays import CARTESIAN, Floats, Ints
+from thetacomp.arrays import Floats, Ints
 from thetacomp.campaign import Campaign, LeadIn, MachineFolder
-from thetacomp.fitting.key_point_law import clock
+from thetacomp.fitting.training import Trained, train
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.fallback import Carried, carry_over
-from thetacomp.model.prediction import Prediction, predict
 from thetacomp.model.temperatures import Temperatures
+from thetacomp.model.volumetric import predict_volume
+from thetacomp.preparation import Prepared, prepare
 from thetacomp.reading import read_folder
 from thetatwin.campaigns import Twin
 from thetatwin.hall import DAY_S
-from thetatwin.operation import STEP_S
+from thetatwin.operation import STEP_S, at_minute, spindle_duty
+from thetatwin.trial.clock import clock_error_um
 from thetatwin.trial.probing import DAILY, Course, adapt
 from thetatwin.trial.readings import (
     ScreenedMonth,
     ScreenedYear,
     as_read,
     screen_year,
-    screened_training,
     screening_model,
     used_sensors,
 )
-from thetatwin.trial.training import Positions, Trained, at_minute, clock_samples, spindle_duty, train
 from thetatwin.writer import write_machine_folder
 from thetatwin.year import MONTH_DAYS, Readings, Schedule, Year, live_a_year
 
@@ -50,11 +51,6 @@ class Place:
     label: str
     axis: str
     positions_mm: Mapping[str, float]
-
-    @property
-    def position_mm(self) -> float:
-        """Position of the axis, zero in the middle, where the drift is asked for."""
-        return self.positions_mm[self.axis] if self.axis else 0.0
 
 
 @dataclass(frozen=True)
@@ -110,11 +106,8 @@ def run_trial(
     year = live_a_year(twin, schedule)
     write_machine_folder(folder, twin, year.training)
     measured = _with_days_before(read_folder(folder), year)
-    if screening:
-        progress("screening the training campaigns")
-    healthy = screened_training(measured) if screening else measured
-    progress("fitting the models")
-    trained = train(healthy)
+    prepared = prepare(measured, faults="repair" if screening else "ignore", mix=True, progress=progress)
+    trained = train(prepared, lost=(), progress=progress)
     begins_s = [_month_s(schedule, number) for number in range(schedule.months)]
     if screening:
         progress(f"screening {schedule.months} months of readings")
@@ -124,11 +117,11 @@ def run_trial(
     progress(f"running {schedule.months} months")
     places = stated_places(twin)
     t_s, true_um = _truth(twin, year, places)
-    ready = Ready(healthy, trained.model)
+    ready = Ready(prepared, trained.model)
     frozen, band, inside = _run(ready.without, year, readings, places, t_s)
     # The paper's method has no model without its sensor: it goes on with the rebuilt value, as long as there is one.
     paper, _, _ = _run(lambda lost: trained.paper_model, year, readings, places, t_s)
-    timed = _by_the_clock(trained, year, places, t_s)
+    timed = _by_the_clock(prepared, year, places, t_s)
     learnt, log = adapt(twin, course, places, t_s, true_um, frozen, band)
     alone, _ = adapt(twin, course, places, t_s, true_um, np.zeros_like(true_um), np.full_like(band, np.inf))
     residual = {
@@ -195,14 +188,14 @@ class Ready:
     `analyze` keeps such a fallback ready for each single sensor; here each one is made when it is first needed.
     """
 
-    def __init__(self, folder: MachineFolder, model: ModelDocument) -> None:
-        self._folder = folder
+    def __init__(self, prepared: Prepared, model: ModelDocument) -> None:
+        self._prepared = prepared
         self._models = {frozenset[str](): model}
 
     def without(self, lost: frozenset[str]) -> ModelDocument:
         """The model that does not need the sensors `lost`, fitted on the same campaigns."""
         if lost not in self._models:
-            self._models[lost] = train(self._folder.without_sensors(lost)).model
+            self._models[lost] = train(self._prepared.without_sensors(lost), lost=()).model
         return self._models[lost]
 
 
@@ -271,42 +264,31 @@ def _predict(
 ) -> None:
     """Fill in what a model says of the moments `rows`, without the sensors that it can do without."""
     known = set(model.in_use)
-    table = month.temperatures.without(lost - used_sensors(model))
-    table = replace(table, value_degC=table.at(table.t_s))
-    asked = [k for k, place in enumerate(places) if place.axis in known]
-    axis = tuple(places[k].axis for k in asked for _ in rows)
-    position = np.repeat([places[k].position_mm for k in asked], len(rows))
-    wanted = Positions(np.tile(t_s[rows], len(asked)), axis, position)
-    got = predict(model, table, wanted, "model", duty=spindle_duty(year.work, table.t_s, table.t_s))
-    _fill(got, rows, asked, out)
+    table = month.temperatures.without(lost - used_sensors(model)).bridged()
+    there = {
+        name: np.repeat([place.positions_mm[name] for place in places], len(rows))
+        for name in places[0].positions_mm
+        if name in known
+    }
+    duty = spindle_duty(year.work, table.t_s, table.t_s)
+    got = predict_volume(model, table, np.tile(t_s[rows], len(places)), there, reference="model", duty=duty)
+    half_um = 0.5 * (got.upper_um - got.lower_um)
     # A component that a model does not have is not compensated.
-    out.error[rows] = np.nan_to_num(out.error[rows])
+    error_um = np.nan_to_num(got.error_um)
+    for k in range(len(places)):
+        own = slice(k * len(rows), (k + 1) * len(rows))
+        out.error[rows, k], out.band[rows, k], out.inside[rows, k] = error_um[own], half_um[own], got.in_domain[own]
 
 
-def _fill(got: Prediction, rows: Ints, asked: Sequence[int], out: _Output) -> None:
-    shape = (len(asked), len(rows), 3)
-    half_um = (0.5 * (got.upper_um - got.lower_um)).reshape(shape)
-    for i, k in enumerate(asked):
-        out.error[rows, k] = got.error_um.reshape(shape)[i]
-        out.band[rows, k] = half_um[i]
-        out.inside[rows, k] = got.in_domain.reshape(shape[:2])[i]
-
-
-def _by_the_clock(trained: Trained, year: Year, places: Sequence[Place], t_s: Floats) -> Floats:
+def _by_the_clock(prepared: Prepared, year: Year, places: Sequence[Place], t_s: Floats) -> Floats:
     """Regression on the hours since the day's work began, no thermometer; (n, places, 3)."""
-    hours = _hours_at_work(year)
-    out = np.zeros((len(t_s), len(places), 3))
-    for states in trained.states:
-        begins = np.array(year.begins_s)[states.campaign]
-        model = clock(replace(states, elapsed_h=at_minute(hours, begins + states.t_s)))
-        for k, place in enumerate(places):
-            if place.axis != states.axis:
-                continue
-            lever_m = 0.0 if states.is_drift else (place.position_mm - states.p0_mm) / 1000.0
-            for component in states.components:
-                value, _ = model.predict(component, states, clock_samples(states, at_minute(hours, t_s), lever_m))
-                out[:, k, CARTESIAN.index(component[1])] = value
-    return out
+    hours, begins_s = _hours_at_work(year), np.array(year.begins_s)
+    trained_on = [
+        replace(states, elapsed_h=at_minute(hours, begins_s[states.campaign] + states.t_s))
+        for states in prepared.training
+    ]
+    at = [{name: np.full(len(t_s), value) for name, value in place.positions_mm.items()} for place in places]
+    return np.stack([clock_error_um(trained_on, at_minute(hours, t_s), there) for there in at], axis=1)
 
 
 def _hours_at_work(year: Year) -> Floats:

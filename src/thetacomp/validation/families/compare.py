@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.folds import Fold
 from thetacomp.fitting.key_point_law import AnyProcedure, Predictor, clock
 from thetacomp.fitting.ridge import STRENGTHS
 from thetacomp.model.document import AxisLaw
@@ -16,20 +14,8 @@ from thetacomp.validation.families.choice import FamilyModel, family_procedure
 from thetacomp.validation.families.family import LAGS, Family
 from thetacomp.validation.families.rows import BASELINE, COMPARISON_ONLY, STORED, ComparisonRow
 from thetacomp.validation.joint_view import with_drift
-from thetacomp.validation.rows import ValidationRow
-from thetacomp.validation.validate import NOTHING, column_rows, held_out_residuals, pooled, rows_of
-
-KEY_POINTS, DEFAULT, CLOCK = "key_points", "default", "clock"
-
-
-@dataclass(frozen=True)
-class AxisTask:
-    """One axis to compare on: its states, the kind of split and its folds, and its Cartesian direction."""
-
-    states: AxisStates
-    split: str
-    folds: tuple[Fold, ...]
-    cartesian: str
+from thetacomp.validation.rows import CLOCK, DEFAULT, KEY_POINTS, NOTHING, ValidationRow
+from thetacomp.validation.validate import AxisTask, column_rows, held_out_residuals, pooled, rows_of
 
 
 def compare_families(
@@ -49,7 +35,7 @@ def compare_families(
     rows: list[ComparisonRow] = []
     notes: list[str] = []
     for task in tasks:
-        label = f"axis {task.states.axis}" if task.states.axis else "drift"
+        label = task.states.label
         found: list[ComparisonRow] = []
         left_out = []
         for family in families:
