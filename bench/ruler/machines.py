@@ -23,6 +23,7 @@ VIRTUAL = {"joint": ("standard.toml", 1), "separate": ("hard.toml", 3)}
 CAMPAIGNS = 3
 LOST = {"joint": "theta_8", "separate": "theta_2", "spindle": "t3"}  # a key sensor of each, left out of a table
 TRAVEL_mm = {"X": (0.0, 4000.0), "Y": (0.0, 3000.0), "W": (0.0, 1000.0)}
+WORKPIECE = {"wanted": "workpiece", "workpiece_expansion_per_K": 11.5e-6}
 SPINDLE_STARTS = (1951, 9631)  # first rows of two campaigns of the recording
 SPINDLE_ROWS = 1400
 
@@ -44,6 +45,20 @@ def without_places(folder: Path) -> None:
             head, *rows = _read(path)
             kept = [k for k, column in enumerate(head) if not column.startswith("at_")]
             _write(path, ([row[k] for k in kept] for row in (head, *rows)))
+
+
+def with_angles(folder: Path) -> None:
+    """Give all sweeps and drift readings measured angles, which the virtual tracker has not: turns that grow with time
+    and along the axis, and scatter like the displacements."""
+    for name in ("sweeps.csv", "drift.csv"):
+        for path in folder.glob(f"campaigns/*/{name}"):
+            head, *rows = _read(path)
+            cells = [dict(zip(head, row, strict=True)) for row in rows]
+            for row, cell in zip(rows, cells, strict=True):
+                hours, place_m = float(cell["t_s"]) / 3600.0, float(cell.get("position_mm") or 0.0) / 1000.0
+                for turn, column in ((3.0, "dX_um"), (-2.0, "dY_um"), (1.0, "dZ_um")):
+                    row.append(f"{turn * hours * (0.5 + place_m) + 0.02 * float(cell[column]):.2f}")
+            _write(path, ([*head, "rA_urad", "rB_urad", "rC_urad"], *rows))
 
 
 def add_compensated(folder: Path, campaign: str, share: float = 0.3) -> None:
@@ -184,12 +199,18 @@ def write_request(request: Request, folder: Path) -> list[str | Path]:
     return options
 
 
-def static_copy(model: Path, copy: Path) -> Path:
-    """A stored model of format 1 without its heat history: what is left is the law on key temperatures."""
+def variants(model: Path, folder: Path) -> dict[str, Path]:
+    """Copies of a stored model of format 1, to reach what the model in use leaves aside, by name: the law on key
+    temperatures (without heat history), and that law without angles, where lengths follow a workpiece."""
     document = json.loads(model.read_text(encoding="utf-8"))
     document["history"] = {}
-    copy.write_text(json.dumps(document, ensure_ascii=False), encoding="utf-8")
-    return copy
+    sensors = sorted(document["training"]["range_degC"])
+    plain = {**document, "rotations": {}, "length": {**document["length"], **WORKPIECE, "workpiece_sensor": sensors[0]}}
+    copies = {}
+    for name, one in (("law on key temperatures", document), ("length of the workpiece", plain)):
+        copies[name] = folder / f"{model.stem} {name}.json"
+        copies[name].write_text(json.dumps(one, ensure_ascii=False), encoding="utf-8")
+    return copies
 
 
 def slim_copy(model: Path, copy: Path, lost: str) -> Path:

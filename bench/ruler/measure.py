@@ -89,12 +89,13 @@ def requests_of(bench: Bench, machine: str) -> list[Request]:
 
 
 def measure_stored(bench: Bench) -> None:
-    """The stored models of format 1: as they are, and as the law on key temperatures that they hold besides."""
+    """The stored models of format 1: as they are, and the laws that they hold besides the one in use."""
     for machine in MACHINES:
         requests, model = requests_of(bench, machine), bench.models / f"{machine}.json"
-        bench.predict(f"stored/{machine}/prediction", model, requests)
-        static = machines.static_copy(model, bench.work / f"{machine}-static.json")
-        bench.predict(f"stored/{machine}/law on key temperatures", static, requests)
+        for name, path in {"prediction": model, **machines.variants(model, bench.work)}.items():
+            # The examples have no sensor that could stand for a workpiece.
+            if machine in machines.VIRTUAL or name != "length of the workpiece":
+                bench.predict(f"stored/{machine}/{name}", path, requests)
 
 
 def measure_twin(bench: Bench) -> None:
@@ -127,6 +128,7 @@ def measure_spindle(bench: Bench) -> None:
 def measure_joint(bench: Bench) -> None:
     """A virtual machine in the joint form, with every command that there is for a machine folder."""
     folder = bench.copy("joint")
+    machines.with_angles(folder)
     bench.tell("joint/check", "check", "joint")
     bench.tell("joint/analyze", "analyze", "joint", "--out", "joint-results")
     requests = bench.train("joint", "joint-results/model.json")
