@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from html import unescape
 
 import numpy as np
 import pytest
-from small_models import component, document, term, three_axes
+from small_models import Part, component, document, term, three_axes
 
 from thetacomp.controllers.ascii_text import ascii_names
 from thetacomp.controllers.base import RegisterLaw
@@ -55,18 +56,20 @@ from thetacomp.report.commissioning import commissioning_sheet
 T = {"t": 20.0}
 
 
-def mill(**training: object) -> ModelDocument:
+PARTS = {
+    "EXX": component("EXX", term(0.0, 10.0), term(0.0, 20.0), T, p=(200.0, 0.0, 1000.0)),
+    "EXY": component("EXY", term(0.0, 4.0), term(0.0, -30.0), T, p=(0.0, -500.0, 2000.0)),
+    "EXZ": component("EXZ", term(0.0, 4.0), term(0.0, 8.0), T, p=(100.0, 0.0, 500.0)),
+}
+
+
+def mill(parts: Mapping[str, Part] = PARTS, axes: str = "XYZ", **more: object) -> ModelDocument:
     """X corrects itself and the lean of Y and of Z towards X; 10 K. No scatter, so sizes are products.
 
     Slopes per K: EXX 20 µm/m about 200 mm over 0 to 1000, EXY -30 about 0 over -500 to 2000, EXZ 8 about 100 over 0 to
     500. The drift is that of EXX, 10 µm/K.
     """
-    parts = {
-        "EXX": component("EXX", term(0.0, 10.0), term(0.0, 20.0), T, p=(200.0, 0.0, 1000.0)),
-        "EXY": component("EXY", term(0.0, 4.0), term(0.0, -30.0), T, p=(0.0, -500.0, 2000.0)),
-        "EXZ": component("EXZ", term(0.0, 4.0), term(0.0, 8.0), T, p=(100.0, 0.0, 500.0)),
-    }
-    return document({"X": "+X", "Y": "+Y", "Z": "+Z"}, parts, {"t": (-2.0, 10.0)}, **training)  # type: ignore[arg-type]
+    return document({axis: f"+{axis}" for axis in axes}, parts, {"t": (-2.0, 10.0)}, **more)  # type: ignore[arg-type]
 
 
 def plan(**settings: object) -> Plan:
@@ -152,18 +155,14 @@ def test_a_register_that_follows_the_workpiece_is_clamped_by_both_and_zero_at_it
 
 def test_without_an_axis_along_the_direction_the_drift_is_that_of_the_column() -> None:
     """X has no error of its own: what the sweep along Y saw counts, whatever comes first in machine and model."""
-    made = mill()
-    parts = {name: made.components[name] for name in ("EXZ", "EXY")}
-    axes = tuple(sorted(made.axes, key=lambda axis: "XZY".index(axis.name)))
-    (x, *_) = make_plan(made.model_copy(update={"components": parts, "axes": axes}), SinumerikSettings()).axes
+    parts = {name: PARTS[name] for name in ("EXZ", "EXY")}
+    (x, *_) = make_plan(mill(parts, "XZY"), SinumerikSettings()).axes
     assert (x.axis.name, x.drift_source, x.slope_source) == ("X", "EXY", None)
 
 
 def test_the_drift_of_a_joint_model_is_not_chosen() -> None:
     """It is the one of its own component; an axis named for it is refused, its own name is as good as none."""
-    made = mill()
-    parts = made.components | {"DX": component("DX", term(0.0, 7.0), None, T)}
-    joint = made.model_copy(update={"components": parts, "form": "joint"})
+    joint = mill(PARTS | {"DX": component("DX", term(0.0, 7.0), None, T)}, form="joint")
     with pytest.raises(InputError, match=r"drift_source\.X = 'EXX': the model is in the joint form, its drift is DX"):
         make_plan(joint, SinumerikSettings(drift_source={"X": "EXX"}))
     for settings in (SinumerikSettings(), SinumerikSettings(drift_source={"X": "DX"})):
@@ -354,9 +353,7 @@ def test_sign_tests_are_made_at_the_end_that_is_farther_from_p0() -> None:
 def test_the_farther_end_counts_from_p0_not_from_the_scale() -> None:
     """From 600 mm it is 150 mm to the upper end at 750 and 100 to the lower one at 500; halfway the upper one."""
     for p0_mm, end_mm in ((600.0, 750.0), (650.0, 500.0), (625.0, 750.0)):
-        made = mill()
-        moved = made.components["EXZ"].model_copy(update={"p0_mm": p0_mm, "p_min_mm": 500.0, "p_max_mm": 750.0})
-        changed = made.model_copy(update={"components": made.components | {"EXZ": moved}})
+        changed = mill(PARTS | {"EXZ": PARTS["EXZ"] | {"p0_mm": p0_mm, "p_min_mm": 500.0, "p_max_mm": 750.0}})
         assert sign_tests(make_plan(changed, SinumerikSettings()))[-1].where == f"Z1 at {end_mm} mm"
 
 
@@ -414,8 +411,7 @@ def test_a_good_plan_has_nothing_to_be_said_but_drift_that_is_not_alike() -> Non
     (one,) = remarks(plan())
     assert one.startswith("DRIFT DOES NOT AGREE: K0[X1] carries the intercept of EXX, +100 µm")
     assert "1 more such pairs" in one
-    parts = {name: part for name, part in mill().components.items() if name != "EXZ"}
-    (alone,) = remarks(make_plan(mill().model_copy(update={"components": parts}), SinumerikSettings()))
+    (alone,) = remarks(make_plan(mill({name: PARTS[name] for name in ("EXX", "EXY")}), SinumerikSettings()))
     assert alone.endswith("[drift_source] in export.toml makes the choice.")
     assert not_compensated(plan()) == ()
 

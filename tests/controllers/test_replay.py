@@ -54,6 +54,14 @@ def test_a_writer_that_updates_each_minute_is_behind_a_ramp_by_up_to_a_minute():
     assert np.array_equal(sample_and_hold(T_S, WANTED, 0.0), WANTED)
 
 
+def test_the_first_of_equal_losses_is_named_whatever_rounding_says():
+    """Every second second the stage takes 3 µm, at 2501 s by a hair more."""
+    taken = np.where(T_S % 2 == 1, 3.0, 0.0)
+    taken[2501] += 1e-12
+    (alone, _) = replay(T_S, [Register("Y", "K0", WANTED, 1.0, (Stage("takes", lambda t_s, value: value - taken),))])
+    assert (alone.largest_at_s, alone.largest_um) == (1.0, pytest.approx(3.0))
+
+
 def test_a_rate_limit_falls_behind_by_the_difference_of_the_rates():
     limited = rate_limit(T_S, WANTED, 0.4 * RAMP_PER_S)
     assert WANTED - limited == pytest.approx(0.6 * RAMP_PER_S * T_S)

@@ -22,6 +22,7 @@ from thetacomp.fitting.key_point_law import fit_axis
 from thetacomp.fitting.rotations import with_form
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of
 from thetacomp.model.document import ModelDocument
+from thetacomp.model.filters import HistoryLayout
 from thetacomp.model.prediction import predict
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.model.volume import Part, ThermalParts, volume_error
@@ -242,6 +243,23 @@ def test_a_direction_that_was_not_measured_stays_empty() -> None:
     )
     assert np.isfinite(found.error_um[0]).tolist() == [True, False, True]
     assert found.absent == ("EYX",)
+
+
+def test_an_angle_without_its_sensor_is_left_out_and_named() -> None:
+    """The angles of the drift hang on a sensor that the table lacks: the rest is as in a model without angles."""
+    drift = small().control[""]
+    angles = {name: drift.components[f"D{d}"] for name, d in (("DA", "X"), ("DB", "Y"), ("DC", "Z"))}
+    angle = drift.model_copy(update={"layout": HistoryLayout.plain(("b",)), "components": angles})
+    positions, longer = {"X": np.array([700.0]), "W": np.array([400.0])}, np.array([700.0])
+    with_angle = small().model_copy(update={"rotations": {"": angle}})
+    found = predict_volume(with_angle, warm(), np.array([100.0]), positions, longer)
+    plain = predict_volume(small(), warm(), np.array([100.0]), positions, longer)
+    np.testing.assert_array_equal(found.error_um, plain.error_um)
+    assert (found.absent, found.lean) == (("DA", "DB", "DC"), plain.lean)
+    both = Temperatures(np.array([0.0, 100.0]), ("a", "b"), np.array([[20.0, 20.0], [30.0, 30.0]]))
+    turned = predict_volume(with_angle, both, np.array([100.0]), positions, longer)
+    # 1 µrad/K about X at 10 K turns 0.6 m of tool along -Z by +Y: 6 µm; the lean of W is then in the angle.
+    assert turned.error_um[0, 1] == pytest.approx(20.0 + 9.9 * 10.0 * 0.1 + 6.0)
 
 
 def test_sinumerik_takes_k0_from_the_drift_of_the_joint_form() -> None:
