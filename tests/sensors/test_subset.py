@@ -242,6 +242,19 @@ def test_no_subset_is_forgotten_where_nothing_is_pruned():
         assert len({frozenset(subset) for subset in waiting.tolist()}) == len(waiting) == comb(10, k)
 
 
+def test_every_candidate_that_may_be_better_is_scored_however_many_wait():
+    campaigns = summaries(problem(34, 13))
+    products, _ = module._products(campaigns, module._weights(merge(campaigns), None), "held_out")
+    subsets = np.array(list(combinations(range(13), 4)))
+    values = kernel.scores(products, subsets)
+    worst_first = np.argsort(-values)
+    best = kernel.Incumbent(products, 4)
+    best.put_by(subsets[worst_first], np.zeros(len(subsets)))
+    best.settle()
+    assert best.subset.tolist() == subsets[worst_first[-1]].tolist()
+    assert best.value == values.min()
+
+
 def test_no_subset_of_dependent_columns_scores_under_the_bound_of_its_node():
     rows = problem(33, 9)
     for x, _ in rows:
