@@ -27,8 +27,8 @@ from thetatwin.mounting import load_mounting
 from thetatwin.placement_page import PLACES, placement_files
 from thetatwin.sensor_places import place_sensors
 from thetatwin.sensor_sets import read_places, with_sensors
-from thetatwin.trial.loop import Deviation, MeasuringPlan, summaries, verify_machine
-from thetatwin.virtual import VirtualMachine, build
+from thetatwin.trial.many_machines import Deviation, MeasuringPlan, summaries, verify_machine
+from thetatwin.virtual_machine import VirtualMachine, build
 
 LIMIT_PERCENT = 85.0
 # A careful plan: the tracker stands beside the machine, so that the small deviation, X, lies along its beam.

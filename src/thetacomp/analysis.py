@@ -15,9 +15,9 @@ from thetacomp.sensors.parameters import correlation_tables, parameter_table
 from thetacomp.sensors.sensor_curve import sensor_curves
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
-from thetacomp.validation.families.rows import ComparisonRow
+from thetacomp.validation.families.comparison_row import ComparisonRow
 from thetacomp.validation.judge import Judged, axis_tasks, judge
-from thetacomp.validation.rows import DEFAULT, KEY_POINTS
+from thetacomp.validation.outcome import DEFAULT, KEY_POINTS
 
 
 def analyze_folder(

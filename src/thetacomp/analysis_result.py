@@ -11,8 +11,8 @@ from thetacomp.sensors.key_points import AxisKeyPoints
 from thetacomp.sensors.sensor_curve import SensorCurve
 from thetacomp.separation.component import ComponentSeparation
 from thetacomp.temperature.rises import LayoutCheck, SensorRise
-from thetacomp.validation.families.rows import ComparisonRow
-from thetacomp.validation.rows import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
+from thetacomp.validation.families.comparison_row import ComparisonRow
+from thetacomp.validation.outcome import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 
 
 @dataclass(frozen=True, repr=False)

@@ -30,9 +30,9 @@ from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.volumetric import VolumePrediction, predict_volume
 from thetacomp.outputs import output_folder
 from thetacomp.reading import Positions, read_duty, read_folder, read_frames, read_positions, read_temperatures
-from thetacomp.reading.lone import LoneTable
+from thetacomp.reading.single_tables import LoneTable
 from thetacomp.verification import verify_folder
-from thetacomp.verification.findings import Verification as VerificationResult
+from thetacomp.verification.outcome import Verification as VerificationResult
 
 if TYPE_CHECKING:
     import pandas as pd

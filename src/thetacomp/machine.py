@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from thetacomp.names import checked_name
+from thetacomp.safe_names import checked_name
 
 SensorRole = Literal[
     "drive", "bearing", "guide", "structure", "fluid", "ambient", "foundation", "workpiece", "reference"

@@ -10,13 +10,13 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import MachineFolder
+from thetacomp.campaign_conditions import condition_notes, refuse_mixtures
 from thetacomp.errors import AnalysisError
-from thetacomp.mixtures import condition_notes, refuse_mixtures
 from thetacomp.screening.campaigns import ScreenedFolder, screened
 from thetacomp.separation import ComponentSeparation, Separated, separate_all
 from thetacomp.separation.reference import cold_block_notes
-from thetacomp.states import AxisStates, axis_states
 
 Faults = Literal["repair", "tell", "ignore"]
 """What is done with faulty readings: mended or left out; only told; or not even looked for, which is faster."""

@@ -28,7 +28,7 @@ from thetatwin.instruments import (
     track,
 )
 from thetatwin.operation import STEP_S, History, Work, rest_state, simulate
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 NEW_YEAR = date(2026, 1, 1)
 START_HOUR = 7

@@ -19,12 +19,12 @@ from matplotlib.ticker import MultipleLocator
 
 from thetacomp.arrays import Floats, Ints
 from thetatwin.campaigns import Record
-from thetatwin.labels import Label, arrange
+from thetatwin.label_placement import Label, arrange
 from thetatwin.mesh import AXES, BodyMesh
 from thetatwin.operation import STEP_S
 from thetatwin.raster import Canvas, contour_lines, paint, smaller
 from thetatwin.sensor_sets import PLACED
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 # Where the eye stands: in front of the machine on the headstock's side, and behind it on the other side.
 FRONT, BACK = (-0.62, 0.42, -0.66), (0.62, 0.42, 0.66)

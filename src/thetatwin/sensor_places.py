@@ -24,7 +24,7 @@ from thetatwin.placement import (
     greedy,
     value,
 )
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 MODES = 30
 CHOOSE_DAYS, JUDGE_DAYS = (0, 181), (181, 184)  # first day of the year and number of days

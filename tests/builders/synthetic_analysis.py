@@ -26,7 +26,7 @@ from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.sensors.key_points import AxisKeyPoints, StrategyTable, Verdict
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, LinearityTest, Points
 from thetacomp.temperature.rises import LayoutCheck, SensorRise
-from thetacomp.validation.rows import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
+from thetacomp.validation.outcome import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 
 HOUR_S = 3600.0
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from synthetic_campaigns import LAYOUT, SENSORS, WINTER, Recording, inputs_of, synthetic_machine
 
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, MachineFolder, Parameters
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.build import build_document
@@ -25,7 +26,6 @@ from thetacomp.model.law import Law, component_laws
 from thetacomp.model.load import load_model
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_folder
-from thetacomp.states import AxisStates, axis_states
 
 IDS = ("nut", "bearing", "bed")
 MACHINE = Machine(

@@ -13,6 +13,7 @@ from rigid_machine import AXES, MACHINE, NAMES, REFERENCE_S, TOOL_MM, Rigid, dra
 from small_models import component, document, term
 from typer.testing import CliRunner
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
@@ -28,7 +29,6 @@ from thetacomp.model.temperatures import Temperatures
 from thetacomp.model.volume import Part, ThermalParts, volume_error
 from thetacomp.model.volumetric import predict_volume
 from thetacomp.separation import separate_all
-from thetacomp.states import axis_states
 
 CHAIN = chain_of(AXES)
 

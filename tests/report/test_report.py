@@ -21,7 +21,7 @@ from synthetic_analysis import (
 from thetacomp.analysis_result import Analysis
 from thetacomp.files import write_files
 from thetacomp.report import style, tables
-from thetacomp.report.page import render_page, report_files
+from thetacomp.report.analysis_page import render_page, report_files
 from thetacomp.report.rendering import Drawings, inline_svg, missing_note, render
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}

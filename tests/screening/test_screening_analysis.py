@@ -25,9 +25,9 @@ from thetacomp.files import write_files
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading import read_folder
 from thetacomp.report.analysis_files import table_files
+from thetacomp.report.analysis_page import render_page
 from thetacomp.report.figures_screening import screened_channels
 from thetacomp.report.figures_temperature import temperatures_over_time
-from thetacomp.report.page import render_page
 from thetacomp.report.rendering import Drawings, draw
 from thetacomp.screening import with_fault
 from thetacomp.screening.campaigns import ScreenedFolder, screened

@@ -15,7 +15,7 @@ from thermal_network import network, operate
 from thetacomp.arrays import Floats
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening, with_fault
-from thetatwin.trial.readings import as_read, screen_year
+from thetatwin.trial.screened_year import as_read, screen_year
 from thetatwin.year import Readings
 
 HOUR_S = 3600.0

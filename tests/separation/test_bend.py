@@ -18,6 +18,7 @@ from slow_column import LAG_S, MACHINE, NOISE_UM, folder
 from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.files import write_files
 from thetacomp.fitting.build import build_document
@@ -35,9 +36,8 @@ from thetacomp.model.volumetric import predict_volume
 from thetacomp.report.analysis_files import table_files
 from thetacomp.separation import ComponentSeparation, separate_all, separate_campaign
 from thetacomp.separation.component import mean_square_m2
-from thetacomp.separation.forms import bent_components
-from thetacomp.states import axis_states
-from thetacomp.verification.pattern import model_pattern
+from thetacomp.separation.form_choice import bent_components
+from thetacomp.verification.expected_error import model_pattern
 
 
 @dataclass(frozen=True)

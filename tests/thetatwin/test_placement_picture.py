@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thetatwin.labels import Label, arrange
+from thetatwin.label_placement import Label, arrange
 from thetatwin.picture import isotherm_step
 from thetatwin.raster import Canvas, contour_lines, paint, smaller
 

@@ -22,7 +22,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.reading import read_folder
 from thetacomp.report.figures_verification import over_time
 from thetacomp.verification import Verification, verify_folder
-from thetacomp.verification.lines import END_POINTS, LEAST_SQUARES, straightness_um
+from thetacomp.verification.straightness import END_POINTS, LEAST_SQUARES, straightness_um
 
 
 def cooled(name: str, t_h: Floats) -> Floats:

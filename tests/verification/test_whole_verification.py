@@ -11,15 +11,15 @@ from rigid_machine import P0_MM
 from small_models import component, document, nothing_predicts, term
 from verification_runs import AXES, LAW, Run, rises_K, true_model, write_folder
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder, SweepPoints
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument
 from thetacomp.reading import read_folder
 from thetacomp.separation import separate_campaign
-from thetacomp.states import axis_states
 from thetacomp.verification import Verification, verify_folder
-from thetacomp.verification.pattern import fitted_pattern, model_pattern
+from thetacomp.verification.expected_error import fitted_pattern, model_pattern
 
 ROUNDS = 5
 

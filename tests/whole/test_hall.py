@@ -32,6 +32,7 @@ from hall_chain import (
 from scipy import stats
 from typer.testing import CliRunner
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.fitting.build import build_document
@@ -42,10 +43,9 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.model.load import load_model
 from thetacomp.reading import check_folder, read_folder
 from thetacomp.separation import Separated, separate_all
-from thetacomp.states import axis_states
 from thetacomp.tracker.frame import nominal_mm
 from thetacomp.tracker.rigid import fit_rigid, point_covariance_um2
-from thetacomp.verification.findings import Verification
+from thetacomp.verification.outcome import Verification
 from thetacomp.verification.verify import verify_folder
 
 TRAINING = ("2026-03-02", "2026-03-03", "2026-03-04", "2026-03-05")

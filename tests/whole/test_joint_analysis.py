@@ -13,13 +13,13 @@ from rigid_machine import MACHINE, draw_rigid, measure
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.files import write_files
 from thetacomp.fitting.key_point_law import AxisModel, fit_axis
 from thetacomp.report.analysis_files import table_files
 from thetacomp.report.figures_fit import fit_over_temperature
 from thetacomp.separation import separate_all
-from thetacomp.states import AxisStates, axis_states
 from thetacomp.validation.joint_view import with_drift
 
 

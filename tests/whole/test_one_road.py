@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
@@ -25,7 +26,6 @@ from thetacomp.reading import read_folder
 from thetacomp.sensors.selection import key_points
 from thetacomp.sensors.sensor_curve import sensor_curve
 from thetacomp.separation import separate_folder
-from thetacomp.states import axis_states
 
 BEST = ("theta_11", "theta_13")
 

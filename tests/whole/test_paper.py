@@ -13,8 +13,8 @@ from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.examples import TK6920, TK6920_EQUATIONS
 from thetacomp.reading import read_folder
+from thetacomp.validation.outcome import ValidationRow
 from thetacomp.validation.published import CoefficientComparison, compare_with_published, read_published_equations
-from thetacomp.validation.rows import ValidationRow
 
 
 @lru_cache

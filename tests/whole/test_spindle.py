@@ -16,7 +16,7 @@ import pytest
 from thetacomp.analysis import analyze_folder
 from thetacomp.analysis_result import Analysis
 from thetacomp.reading import read_folder
-from thetacomp.validation.rows import ValidationRow
+from thetacomp.validation.outcome import ValidationRow
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "spindle"
 DATA = "caiviac_fl_thermal/data.xlsx"

@@ -13,7 +13,7 @@ from thetacomp.extras import require
 
 if TYPE_CHECKING:
     from thetacomp.analysis_result import Analysis
-    from thetacomp.validation.rows import ValidationRow
+    from thetacomp.validation.outcome import ValidationRow
 
 
 def analyze(

@@ -92,7 +92,7 @@ def _from_table(path: Path) -> tuple[Machine | None, list[Evaluated], list[Refus
 
 
 def _outcome(done: list[Evaluated], refused: list[Refused], paths: tuple[Path, ...]) -> Outcome:
-    from thetacomp.standards.rows import rows
+    from thetacomp.standards.figure_rows import rows
 
     pages = [path for path in paths if path.suffix == ".html"]
     lines: list[str] = []

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from thetacomp.model.prediction import Breach, Prediction, Reference
     from thetacomp.model.temperatures import Duty, Temperatures
     from thetacomp.model.volumetric import VolumePrediction
-    from thetacomp.reading.lone import Positions
+    from thetacomp.reading.single_tables import Positions
 
 EARLIEST_DATE_S = 1e8  # tables with dates count from 1970; no campaign runs for three years
 

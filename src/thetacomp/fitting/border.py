@@ -11,7 +11,7 @@ from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.conformal import attainable_level, conformal_quantile, training_leverage
 from thetacomp.model.border import Validity, furthest
-from thetacomp.temperature.passage import Passage
+from thetacomp.temperature.trajectory import Passage
 
 QUIET_LEVEL = 0.9
 

@@ -10,10 +10,10 @@ import numpy as np
 from scipy import special
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.axis_states import AxisStates, Samples
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.linear import ThermalRegression
 from thetacomp.sensors.key_points import AxisKeyPoints
-from thetacomp.states import AxisStates, Samples
 
 ELAPSED_TIME = "elapsed time"
 COVERAGE = 0.95

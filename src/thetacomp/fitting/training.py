@@ -7,20 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
 from thetacomp.fitting.fallbacks import AxisFallback, axis_fallbacks
+from thetacomp.fitting.fit_cache import Once
 from thetacomp.fitting.history_model import MIN_CAMPAIGNS
 from thetacomp.fitting.key_point_law import AxisModel, Procedure
 from thetacomp.fitting.lost_sensors import with_fallbacks
-from thetacomp.fitting.once import Once
 from thetacomp.fitting.procedures import key_point_procedure, paper_procedure
 from thetacomp.fitting.rotations import with_form
 from thetacomp.folds import hold_out, main_split
 from thetacomp.model.document import AxisLaw, ModelDocument
 from thetacomp.preparation import Prepared, Progress
-from thetacomp.states import AxisStates
 
 METHOD = "weighted key points with least squares; heat history with averaged block ridge where campaigns suffice"
 PAPER_METHOD = "paper: one key sensor, least squares"

@@ -21,7 +21,7 @@ from thetacomp.planning.timetable import (
 )
 from thetacomp.planning.uncertainty import STEEL_UM_PER_M_K, Reach
 from thetacomp.report import style
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import draw
 from thetacomp.report.tables import counted
 

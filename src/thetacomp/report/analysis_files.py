@@ -9,11 +9,11 @@ from dataclasses import astuple, fields
 import numpy as np
 
 from thetacomp.analysis_result import Analysis
-from thetacomp.report.page import report_files
+from thetacomp.report.analysis_page import report_files
 from thetacomp.separation import ComponentSeparation
 from thetacomp.table_file import csv_text, plain
-from thetacomp.validation.families.rows import ComparisonRow
-from thetacomp.validation.rows import ValidationRow
+from thetacomp.validation.families.comparison_row import ComparisonRow
+from thetacomp.validation.outcome import ValidationRow
 
 OWN = (
     "model.json",

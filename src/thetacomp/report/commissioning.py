@@ -11,7 +11,7 @@ from thetacomp.controllers.sinumerik_files import law_in_digits, number, referen
 from thetacomp.controllers.sinumerik_remarks import differing, failed_checks, not_compensated, worst_drift
 from thetacomp.controllers.sinumerik_signtest import sign_tests
 from thetacomp.model.wanted_length import follows_workpiece
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 
 SHEET_FILE = "commissioning_sheet.html"
 Rows = list[list[str]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from thetacomp.analysis_result import Analysis
 from thetacomp.report import style
 from thetacomp.report.tables import component_name
-from thetacomp.validation.families.rows import ComparisonRow
+from thetacomp.validation.families.comparison_row import ComparisonRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from thetacomp.analysis_result import Analysis
 from thetacomp.report import style
-from thetacomp.report.prediction import drawn_law, predict_states
+from thetacomp.report.predicted_states import drawn_law, predict_states
 from thetacomp.report.style import HOUR_S, TIME_COLORS
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve
 

@@ -15,7 +15,7 @@ from thetacomp.arrays import Floats
 from thetacomp.model.check import TERMS
 from thetacomp.model.law import ComponentLaw, component_laws
 from thetacomp.report import style
-from thetacomp.report.prediction import drawn_law, explains, half_band, predict_states, reference_degC
+from thetacomp.report.predicted_states import drawn_law, explains, half_band, predict_states, reference_degC
 from thetacomp.report.style import CAMPAIGN_MARKS, HOUR_S, TIME_COLORS
 from thetacomp.separation.component import ComponentSeparation
 

@@ -15,7 +15,7 @@ from thetacomp.report import style
 from thetacomp.report.figures_error import in_order_of_axes
 from thetacomp.report.style import CAMPAIGN_LINES, CAMPAIGN_MARKS, HOUR_S
 from thetacomp.report.tables import component_name, split_words
-from thetacomp.validation.rows import HeldOutStates, ValidationRow
+from thetacomp.validation.outcome import HeldOutStates, ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS, pooled
 
 _MOST_TIME_PANELS = 24

@@ -15,7 +15,7 @@ from thetacomp.arrays import Floats
 from thetacomp.report import style
 from thetacomp.report.style import HOUR_S
 from thetacomp.report.tables import component_name
-from thetacomp.verification.findings import HarmMap, Share, StateLine, Verification
+from thetacomp.verification.outcome import HarmMap, Share, StateLine, Verification
 
 HALF_IN = style.WIDTH_IN / 2
 _WORST_MAPS = 3

@@ -11,15 +11,15 @@ import numpy as np
 from thetacomp.campaign import Campaign
 from thetacomp.machine import Machine
 from thetacomp.report.figures_iso230 import positioning_figure, thermal_figure
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import draw
 from thetacomp.report.style import HOUR_S, file_label
 from thetacomp.report.tables import NOT_AVAILABLE, number
 from thetacomp.standards.campaign_tests import Evaluated
+from thetacomp.standards.figure_rows import AXIS_SYMBOLS, TARGET_SYMBOLS, Row, axis_u_um, rows
 from thetacomp.standards.instrument import Instrument
 from thetacomp.standards.iso230_2 import Positioning
 from thetacomp.standards.iso230_3 import ThermalTest
-from thetacomp.standards.rows import AXIS_SYMBOLS, TARGET_SYMBOLS, Row, axis_u_um, rows
 from thetacomp.table_file import csv_text, plain
 
 TABLE = "iso230.csv"

@@ -10,15 +10,15 @@ from datetime import datetime
 import numpy as np
 
 from thetacomp.analysis_result import Analysis
+from thetacomp.axis_states import LINE_POSITIONS
 from thetacomp.campaign import Campaign
 from thetacomp.model.document import Component, ModelDocument
 from thetacomp.model.law import ComponentLaw, component_laws
 from thetacomp.report import style
-from thetacomp.report.prediction import explains
+from thetacomp.report.predicted_states import explains
 from thetacomp.sensors.key_points import AxisKeyPoints
 from thetacomp.separation.component import ComponentSeparation
-from thetacomp.states import LINE_POSITIONS
-from thetacomp.validation.rows import ValidationRow
+from thetacomp.validation.outcome import ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS, pooled
 
 NOT_AVAILABLE = "–"

@@ -9,10 +9,10 @@ import numpy as np
 
 from thetacomp.report import tables
 from thetacomp.report.figures_verification import verification_figures
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import Drawings, draw
 from thetacomp.table_file import Cell, Number, csv_text, fixed
-from thetacomp.verification.findings import BeforeAfter, RunFacts, Verification
+from thetacomp.verification.outcome import BeforeAfter, RunFacts, Verification
 
 OWN = ("verification*", "figures/verification_*")
 PAGE_FILE = "verification.html"

@@ -16,12 +16,12 @@ from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, LeadIn, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.model.temperatures import Temperatures
+from thetacomp.screening.campaign_labels import HeldLabels, labels_note, without_held_labels
 from thetacomp.screening.faults import Finding
 from thetacomp.screening.fit import fit_plain
-from thetacomp.screening.labels import HeldLabels, labels_note, without_held_labels
 from thetacomp.screening.model import ScreeningModel
+from thetacomp.screening.notes import campaign_notes, join
 from thetacomp.screening.screen import Screening, cleaned, screen
-from thetacomp.screening.words import campaign_notes, join
 
 MIN_TEACHERS = 2
 MIN_SAMPLES = 100

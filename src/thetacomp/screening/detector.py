@@ -11,8 +11,8 @@ from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.screening.blocks import plausible
 from thetacomp.screening.events import Event
+from thetacomp.screening.fault_monitor import Follower
 from thetacomp.screening.faults import Finding, Repair
-from thetacomp.screening.following import Follower
 from thetacomp.screening.model import ScreeningModel
 from thetacomp.screening.window import Healthy
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from thetacomp.arrays import Floats
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.blocks import block_means, local_deviation_K, plausible
+from thetacomp.screening.change_point import change
 from thetacomp.screening.events import Event
 from thetacomp.screening.fit import inputs
 from thetacomp.screening.model import ScreeningModel
-from thetacomp.screening.shapes import change
 from thetacomp.screening.window import BASE_BLOCKS
 
 SPIKE_TIMES = 3.0

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import CorrelationTable
 from thetacomp.errors import AnalysisError
 from thetacomp.folds import fold_numbers
@@ -18,7 +19,6 @@ from thetacomp.sensors.correlation import correlations, effective_count, full_sy
 from thetacomp.sensors.holdout import HoldOut, line_targets
 from thetacomp.sensors.key_points import AxisKeyPoints, StrategyTable, Verdict
 from thetacomp.sensors.parameters import ParameterTable, parameter_table
-from thetacomp.states import AxisStates
 
 Method = Literal["weighted", "paper"]
 

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.moments import Summary, summarise
 from thetacomp.sensors.holdout import line_targets
 from thetacomp.sensors.parameters import parameter_table
 from thetacomp.sensors.subset import best_subset, selection_frequency
-from thetacomp.states import AxisStates
 
 if TYPE_CHECKING:
     from thetacomp.sensors.subset import SearchProgress, SubsetResult

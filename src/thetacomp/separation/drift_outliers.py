@@ -13,7 +13,7 @@ import numpy as np
 
 from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.campaign import Campaign
-from thetacomp.separation.joint import OUTLIER_SIGMA
+from thetacomp.separation.sweep_fit import OUTLIER_SIGMA
 
 # µm or µrad. Below it a display's last digit decides; such a reading spoils no model of a machine tool.
 LEAST_SD = 1.0

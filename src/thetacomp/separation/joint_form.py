@@ -25,13 +25,13 @@ from thetacomp.arrays import CARTESIAN, Floats
 from thetacomp.campaign import Campaign
 from thetacomp.machine import Machine
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of, turned_um
+from thetacomp.separation.axis_shares import AxisFit, axis_share_um, between_nodes, node_weights
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, Points
 from thetacomp.separation.drift_nodes import MIN_LOOKS, Looks, Nodes, join, looks_of, scatter
 from thetacomp.separation.drift_outliers import gross_looks, gross_note, gross_readings, least_sd
-from thetacomp.separation.joint import lever_m, state_weights
 from thetacomp.separation.reference import reference_time_s, refuse_reference_in_a_sweep
 from thetacomp.separation.separate import separate_axis
-from thetacomp.separation.shares import AxisFit, axis_share_um, between_nodes, node_weights
+from thetacomp.separation.sweep_fit import lever_m, state_weights
 
 ANGLES = ("A", "B", "C")
 AT_P0_MM = 1.0

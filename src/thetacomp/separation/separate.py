@@ -13,15 +13,15 @@ from thetacomp.campaign import Campaign, MachineFolder, Parameters, SweepPoints
 from thetacomp.cold_block import sweep_table
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine
+from thetacomp.separation.axis_shares import AxisFit
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, LinearityTest, Points
 from thetacomp.separation.drift_outliers import gross_note, gross_readings, least_sd
-from thetacomp.separation.joint import ComponentData, JointFit, ShapeChange, fit_component, shape_change
 from thetacomp.separation.reference import (
     drift_window,
     reference_time_s,
     refuse_reference_in_a_sweep,
 )
-from thetacomp.separation.shares import AxisFit
+from thetacomp.separation.sweep_fit import ComponentData, JointFit, ShapeChange, fit_component, shape_change
 
 GRID_POINTS = 101
 # The shape test asks for strong evidence: with six components and eight states it is made often.

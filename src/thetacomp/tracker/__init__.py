@@ -1,6 +1,6 @@
 """Tracker points in the tracker's own frame become errors in the machine frame: NumPy alone."""
 
-from thetacomp.tracker.finding import Finding, FrameError
+from thetacomp.tracker.doubt import Finding, FrameError
 from thetacomp.tracker.foundation import Foundation
 from thetacomp.tracker.frame import to_machine_frame
 

@@ -9,7 +9,7 @@ import numpy as np
 from thetacomp.arrays import Floats
 from thetacomp.campaign import StationClosure
 from thetacomp.errors import AnalysisError
-from thetacomp.tracker.finding import Finding
+from thetacomp.tracker.doubt import Finding
 from thetacomp.tracker.foundation import FEWEST_TARGETS, Foundation, Network, Round, adjust, is_complete
 from thetacomp.tracker.rigid import design
 

@@ -18,8 +18,9 @@ from thetacomp.tracker.closure import (
     tracker_motions,
     without_moved_targets,
 )
-from thetacomp.tracker.finding import Finding, FrameError
+from thetacomp.tracker.doubt import Finding, FrameError
 from thetacomp.tracker.foundation import Foundation, Network, adjust, find_rounds
+from thetacomp.tracker.notes import describe, scale_finding
 from thetacomp.tracker.rigid import (
     RigidFit,
     best_fit,
@@ -39,7 +40,6 @@ from thetacomp.tracker.ties import (
     uneven_steps,
     usable_rounds,
 )
-from thetacomp.tracker.words import describe, scale_finding
 
 MISFIT_UM = 5000.0
 

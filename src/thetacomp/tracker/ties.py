@@ -9,7 +9,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats, Ints
 from thetacomp.tracker.closure import Z_9999, chi2_quantile
-from thetacomp.tracker.finding import Finding, FrameError
+from thetacomp.tracker.doubt import Finding, FrameError
 from thetacomp.tracker.foundation import Foundation, Network, Round, is_complete
 from thetacomp.tracker.rigid import design, line_direction, rotation_matrix
 

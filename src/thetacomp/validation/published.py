@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.key_point_law import AxisModel
 from thetacomp.fitting.training import train
 from thetacomp.preparation import prepare
-from thetacomp.states import AxisStates
 
 # A correlation below this leaves the coefficients so uncertain that a comparison proves nothing.
 MIN_CORRELATION = 0.9

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from thetacomp.arrays import Floats
-from thetacomp.verification.findings import STATISTICS, BeforeAfter, StateLine, Statistic
+from thetacomp.verification.applied_share import LIMITS_PERCENT, draws_for, enough_states, fit_run, repeated_runs
+from thetacomp.verification.outcome import STATISTICS, BeforeAfter, StateLine, Statistic
 from thetacomp.verification.runs import RunPoints
-from thetacomp.verification.share import LIMITS_PERCENT, draws_for, enough_states, fit_run, repeated_runs
 
 NAN = float("nan")
 LEAST_UM = 1e-6

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from thetacomp.machine import Machine
-from thetacomp.verification.findings import (
+from thetacomp.verification.applied_share import ALL
+from thetacomp.verification.outcome import (
     BeforeAfter,
     Cause,
     CauseKind,
@@ -18,7 +19,6 @@ from thetacomp.verification.findings import (
     ShareKind,
     listed,
 )
-from thetacomp.verification.share import ALL
 
 # As in the acceptance of a model: at least half of the error is gone.
 MAX_RESIDUAL_RATIO = 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thetacomp.verification.findings import HarmMap
+from thetacomp.verification.outcome import HarmMap
 from thetacomp.verification.runs import RunPoints
 
 MOST_POSITIONS = 40

@@ -15,18 +15,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.model.document import ModelDocument
 from thetacomp.screening.campaigns import screened
 from thetacomp.separation import ComponentSeparation, separate_campaign
-from thetacomp.states import axis_states
+from thetacomp.verification.applied_share import shares
 from thetacomp.verification.before_after import before_after, over_points, over_states, state_line
 from thetacomp.verification.diagnosis import causes, checks, remarks
-from thetacomp.verification.findings import HarmMap, Share, StateLine, Verification
+from thetacomp.verification.expected_error import fitted_pattern, model_pattern
 from thetacomp.verification.harm import harm_map
-from thetacomp.verification.lines import squareness, straightness
-from thetacomp.verification.pattern import fitted_pattern, model_pattern
+from thetacomp.verification.outcome import HarmMap, Share, StateLine, Verification
 from thetacomp.verification.runs import (
     RunPoints,
     chosen,
@@ -35,7 +35,7 @@ from thetacomp.verification.runs import (
     without_expectation,
     zero_scatter,
 )
-from thetacomp.verification.share import shares
+from thetacomp.verification.straightness import squareness, straightness
 
 SEED = 20120951
 # An error below this share of the largest one is too small to judge its sign.

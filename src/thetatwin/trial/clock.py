@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.axis_states import AxisStates, Samples
 from thetacomp.fitting.key_point_law import clock
-from thetacomp.states import AxisStates, Samples
 
 
 def clock_error_um(trained_on: Sequence[AxisStates], hours: Floats, positions_mm: Mapping[str, Floats]) -> Floats:

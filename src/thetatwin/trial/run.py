@@ -27,7 +27,7 @@ from thetatwin.hall import DAY_S
 from thetatwin.operation import STEP_S, at_minute, spindle_duty
 from thetatwin.trial.clock import clock_error_um
 from thetatwin.trial.probing import DAILY, Course, adapt
-from thetatwin.trial.readings import (
+from thetatwin.trial.screened_year import (
     ScreenedMonth,
     ScreenedYear,
     as_read,

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.procedures import key_point_procedure
@@ -18,7 +19,6 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.model.prediction import law_values
 from thetacomp.model.volumetric import volume_along
 from thetacomp.separation import ComponentSeparation
-from thetacomp.states import AxisStates
 
 Expected = tuple[Floats, Floats]
 

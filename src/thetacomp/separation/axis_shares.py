@@ -9,7 +9,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.separation.component import ComponentSeparation
-from thetacomp.separation.joint import ComponentData, JointFit, rate_matrix
+from thetacomp.separation.sweep_fit import ComponentData, JointFit, rate_matrix
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, SweepPoints
 from thetacomp.fitting.border import calibrate_validity
 from thetacomp.fitting.calibrated import calibrated_history
@@ -16,9 +17,8 @@ from thetacomp.model.document import AxisLaw
 from thetacomp.model.filters import run_filters
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.separation import separate_all
-from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.history_track import history_track
-from thetacomp.temperature.passage import LONGEST_STEP_S, passage
+from thetacomp.temperature.trajectory import LONGEST_STEP_S, passage
 
 MACHINE = Machine(
     name="stops to be measured",

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from slow_column import folder
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.fitting import training
 from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
-from thetacomp.fitting.once import Once
+from thetacomp.fitting.fit_cache import Once
 from thetacomp.fitting.training import train
 from thetacomp.preparation import prepare
-from thetacomp.states import AxisStates
 from thetacomp.validation.judge import judge
 
 

@@ -14,7 +14,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.model.filters import HistoryLayout
 from thetacomp.separation.component import ComponentSeparation, mean_square_m2
 from thetacomp.temperature.history_track import HistoryTrack, history_layout, history_track
-from thetacomp.temperature.passage import Passage, joined, passage
+from thetacomp.temperature.trajectory import Passage, joined, passage
 
 DRIFT = ""
 LINE_POSITIONS = 31

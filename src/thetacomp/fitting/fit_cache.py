@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from thetacomp.states import AxisStates
+from thetacomp.axis_states import AxisStates
 
 M = TypeVar("M")
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.arrays import CARTESIAN, Floats, Ints
+from thetacomp.axis_states import DRIFT
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.training import train
 from thetacomp.machine import Axis
@@ -23,12 +24,11 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.preparation import Prepared, prepare
 from thetacomp.reading import read_folder
 from thetacomp.screening import fit_screening
-from thetacomp.states import DRIFT
 from thetatwin.campaigns import Correction, Record, Twin, make_twin, plan_campaigns, run_campaign
 from thetatwin.conditions import Conditions
 from thetatwin.trial.clock import clock_error_um
-from thetatwin.trial.live import LiveReadings, live_error_um, live_readings
-from thetatwin.virtual import VirtualMachine
+from thetatwin.trial.online import LiveReadings, live_error_um, live_readings
+from thetatwin.virtual_machine import VirtualMachine
 from thetatwin.writer import write_machine_folder
 
 DEFAULT, ONE_SENSOR, CLOCK = "default", "one_sensor", "clock"

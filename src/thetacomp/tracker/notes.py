@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thetacomp.campaign import TrackerTie
-from thetacomp.tracker.finding import Finding
+from thetacomp.tracker.doubt import Finding
 
 SCALE_TOLD_UM_PER_M = 10.0
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Floats
-from thetacomp.verification.findings import Share, ShareKind
+from thetacomp.verification.outcome import Share, ShareKind
 from thetacomp.verification.runs import RunPoints
 
 DRAWS = 1000

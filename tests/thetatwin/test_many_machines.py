@@ -20,10 +20,9 @@ from thetacomp.preparation import Prepared, prepare
 from thetacomp.screening.model import ScreeningModel
 from thetatwin.campaigns import Twin, plan_campaigns, run_campaign
 from thetatwin.conditions import Conditions
-from thetatwin.trial import live as live_module
+from thetatwin.trial import online as online_module
 from thetatwin.trial.clock import clock_error_um
-from thetatwin.trial.live import LiveReadings, live_error_um, live_readings
-from thetatwin.trial.loop import (
+from thetatwin.trial.many_machines import (
     Deviation,
     MeasuringPlan,
     column_deviation_um,
@@ -31,7 +30,8 @@ from thetatwin.trial.loop import (
     verify_machine,
     with_plan,
 )
-from thetatwin.virtual import VirtualMachine
+from thetatwin.trial.online import LiveReadings, live_error_um, live_readings
+from thetatwin.virtual_machine import VirtualMachine
 
 
 def test_more_readings_make_the_points_better_and_nothing_else(standard: Conditions) -> None:
@@ -140,7 +140,7 @@ def test_a_sensor_that_came_back_stays_lost_and_the_lead_is_used(monkeypatch: py
         def update(self, t_s: float, value: np.ndarray) -> SimpleNamespace:
             return SimpleNamespace(value_degC=value + 1.0, state=next(states))
 
-    monkeypatch.setattr(live_module, "Detector", Judge)
+    monkeypatch.setattr(online_module, "Detector", Judge)
     table = Temperatures(np.array([0.0, 60.0]), ("a", "b"), np.full((2, 2), 20.0))
     earlier = Temperatures(np.array([-120.0, -60.0]), ("a", "b"), np.full((2, 2), 15.0))
     speed = {"spindle_rpm": np.array([500.0])}

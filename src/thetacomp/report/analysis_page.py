@@ -9,7 +9,7 @@ from markupsafe import Markup
 from thetacomp.analysis_result import Analysis
 from thetacomp.report import comparison, style, tables
 from thetacomp.report.figures import all_figures
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import Drawings, draw
 
 REPORT_FILE = "report.html"

@@ -6,11 +6,11 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.screening.agreement import Agreement
+from thetacomp.screening.change_point import change
 from thetacomp.screening.events import Event
 from thetacomp.screening.faults import FaultKind
 from thetacomp.screening.isolation import culprit, exchanged_with
 from thetacomp.screening.model import ScreeningModel
-from thetacomp.screening.shapes import change
 from thetacomp.screening.window import History
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
