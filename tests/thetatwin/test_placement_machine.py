@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError, InputError
-from thetatwin import picture, sensor_places, snapshots
+from thetatwin import picture, sensor_places, snapshots, virtual_machine
 from thetatwin.conditions import Conditions
 from thetatwin.mesh import mesh_body
 from thetatwin.mounting import Mounting, candidates, load_mounting

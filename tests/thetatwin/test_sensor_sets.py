@@ -18,7 +18,7 @@ from thetacomp.fitting.procedures import paper_procedure
 from thetacomp.machine import Machine
 from thetacomp.reading import check_folder, read_folder
 from thetacomp.separation import separate_campaign
-from thetatwin import picture
+from thetatwin import picture, virtual_machine
 from thetatwin.campaigns import make_twin, plan_campaigns
 from thetatwin.conditions import Conditions
 from thetatwin.description import Description
