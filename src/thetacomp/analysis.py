@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.fitting.key_point_law import AnyProcedure
@@ -28,7 +28,7 @@ def analyze_folder(
     repair: bool = True,
     mix: bool = False,
     compare: bool = False,
-) -> Analysis:
+) -> AnalysisResult:
     """Run the whole analysis of a machine folder.
 
     `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
@@ -44,7 +44,7 @@ def analyze_folder(
     compared, compare_notes = _compare(prepared, judged, progress) if compare else ((), ())
     tables = [parameter_table(states) for states in prepared.training]
     parameter_correlations, sensor_correlations = correlation_tables(tables)
-    return Analysis(
+    return AnalysisResult(
         folder=prepared.folder,
         rises=sensor_rises(prepared.folder),
         layout=layout_checks(prepared.folder),

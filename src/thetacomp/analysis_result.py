@@ -16,7 +16,7 @@ from thetacomp.validation.outcome import AcceptanceCheck, HeldOutStates, Permuta
 
 
 @dataclass(frozen=True, repr=False)
-class Analysis:
+class AnalysisResult:
     """Result of one run of the analysis wing.
 
     `folder` holds the measurements as they were used, `screening` what was found faulty in them and what was done.

@@ -19,7 +19,7 @@ from matplotlib.ticker import MultipleLocator
 
 from thetacomp.arrays import Floats, Ints
 from thetatwin.campaigns import Record
-from thetatwin.label_placement import Label, arrange
+from thetatwin.label_placement import Label, place_labels
 from thetatwin.mesh import AXES, BodyMesh
 from thetatwin.operation import STEP_S
 from thetatwin.raster import Canvas, contour_lines, paint, smaller
@@ -272,7 +272,7 @@ def _draw_marks(axes: Axes, marks: Sequence[tuple[Mark, Floats, bool]]) -> None:
     pixels = axes.transData.transform(points) if len(points) else points
     point_px = axes.figure.dpi / 72.0
     texts = [Label(mark.label, (float(x), float(y))) for (mark, _, _), (x, y) in zip(marks, pixels, strict=True)]
-    labels = arrange(texts, _LABEL_PT * point_px)
+    labels = place_labels(texts, _LABEL_PT * point_px)
     for (mark, place, seen), (dx, dy) in zip(marks, labels, strict=True):
         spot = (float(place[0]), float(place[1]))
         opacity = 1.0 if seen else 0.5

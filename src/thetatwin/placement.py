@@ -46,7 +46,7 @@ class Spacing:
 
 
 def field_of_modes(rows_K: Floats, outputs_um: Floats, covariance: Floats, modes: int) -> Field:
-    """The field in its strongest joint modes.
+    """The field in its strongest shared modes.
 
     `rows_K` (n, R) and `outputs_um` (q, R) act on R coordinates of this `covariance` (R, R). Temperatures and
     displacements are each scaled to unit total variance, so that neither decides alone which modes count.
@@ -55,8 +55,8 @@ def field_of_modes(rows_K: Floats, outputs_um: Floats, covariance: Floats, modes
     root = turn * np.sqrt(np.maximum(size, 0.0))
     heat = root.T @ (rows_K.T @ rows_K) @ root
     motion = root.T @ (outputs_um.T @ outputs_um) @ root
-    joint = sum(part / np.trace(part) for part in (heat, motion) if np.trace(part) > 0)
-    _, vectors = np.linalg.eigh(np.asarray(joint))
+    combined = sum(part / np.trace(part) for part in (heat, motion) if np.trace(part) > 0)
+    _, vectors = np.linalg.eigh(np.asarray(combined))
     lead = root @ vectors[:, ::-1][:, :modes]
     return Field(np.ascontiguousarray(rows_K @ lead), np.asarray(outputs_um @ lead))
 

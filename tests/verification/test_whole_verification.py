@@ -19,7 +19,7 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.reading import read_folder
 from thetacomp.separation import separate_campaign
 from thetacomp.verification import Verification, verify_folder
-from thetacomp.verification.expected_error import fitted_pattern, model_pattern
+from thetacomp.verification.expected_error import expected_from_fit, expected_from_model
 
 ROUNDS = 5
 
@@ -174,7 +174,7 @@ def pattern(
     """Expected intercepts and slopes of the axis X by the known model, and its states."""
     separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
     states = axis_states(folder, separations, ["off", "on"])[0]
-    expected, notes = model_pattern(true_model().model_copy(update=model_update), folder, states, separations)
+    expected, notes = expected_from_model(true_model().model_copy(update=model_update), folder, states, separations)
     assert notes == ()
     return [e[0] for e in expected], [e[1] for e in expected], states
 
@@ -237,7 +237,7 @@ def test_a_joint_model_expects_the_drift_and_the_tilt_of_the_other_axes_where_th
     whole = MachineFolder(rigid_machine.MACHINE, (campaign,))
     separations = separate_campaign(whole.machine, campaign)
     states = next(s for s in axis_states(whole, separations, ["a"]) if s.axis == "X")
-    expected, _ = model_pattern(joint(), whole, states, separations)
+    expected, _ = expected_from_model(joint(), whole, states, separations)
     k = states.components.index("EZX")
     samples = states.samples[k]
     own = next(s for s in separations if s.component == "EZX")
@@ -258,7 +258,7 @@ def test_what_a_model_does_not_predict_has_no_pattern_and_is_named(folder: Machi
     blind = nothing_predicts("EYX", p=(travel_mm / 2, 0.0, travel_mm))
     separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
     states = axis_states(folder, separations, ["off", "on"])[0]
-    expected, notes = model_pattern(true_model(("EZX",), EYX=blind), folder, states, separations)
+    expected, notes = expected_from_model(true_model(("EZX",), EYX=blind), folder, states, separations)
     assert [bool(np.isfinite(e[0]).all()) for e in expected] == [True, False, False]
     assert [note.split(":")[0] for note in notes] == ["EYX", "EZX"]
     assert np.isnan([*expected[1][0], *expected[1][1]]).all()
@@ -276,7 +276,7 @@ def test_a_fit_to_the_run_off_does_not_look_at_the_run_on(folder: MachineFolder)
     for one in (folder, spoilt):
         separations = [s for c in one.campaigns for s in separate_campaign(one.machine, c)]
         states = axis_states(one, separations, ["off", "on"])[1]
-        expected, notes = fitted_pattern(one, states, ["off"])
+        expected, notes = expected_from_fit(one, states, ["off"])
         assert notes == ()
         found.append(expected)
         k = states.components.index("EXY")
@@ -296,6 +296,6 @@ def test_a_run_off_that_no_sensor_explains_says_so(folder: MachineFolder) -> Non
     separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
     states = axis_states(folder, separations, ["off", "on"])[0]
     few = states.take(np.flatnonzero((states.campaign == 1) | (states.t_s < 4000.0)))
-    expected, (note,) = fitted_pattern(folder, few, ["off"])
+    expected, (note,) = expected_from_fit(folder, few, ["off"])
     assert note.startswith("axis X: ")
     assert all(np.isnan(e[0]).all() and np.isnan(e[1]).all() for e in expected)

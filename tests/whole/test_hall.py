@@ -38,7 +38,7 @@ from thetacomp.cli.main import app
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.fitting.procedures import key_point_procedure
-from thetacomp.fitting.rotations import with_form
+from thetacomp.fitting.rotations import with_joint_form
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.load import load_model
 from thetacomp.reading import check_folder, read_folder
@@ -108,7 +108,7 @@ def fitted(folder: MachineFolder, names: tuple[str, ...] = TRAINING) -> tuple[Se
     laws = [(one, key_point_procedure(folder.machine)(one)) for one in states]
     history = tuple(calibrated_history(one).document for one in states)
     document = build_document(folder, laws, "hall", names, history=history)
-    return separated, with_form(document, folder, separated, laws, names)
+    return separated, with_joint_form(document, folder, separated, laws, names)
 
 
 def standing(n: int, **moved: object) -> dict[str, np.ndarray]:

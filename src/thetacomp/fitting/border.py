@@ -11,13 +11,13 @@ from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.conformal import attainable_level, conformal_quantile, training_leverage
 from thetacomp.model.border import Validity, furthest
-from thetacomp.temperature.trajectory import Passage
+from thetacomp.temperature.trajectory import Trajectory
 
 QUIET_LEVEL = 0.9
 
 
 def calibrate_validity(
-    inputs: Floats, campaign: NDArray[Any], passed: Passage | None = None, quiet_level: float = QUIET_LEVEL
+    inputs: Floats, campaign: NDArray[Any], passed: Trajectory | None = None, quiet_level: float = QUIET_LEVEL
 ) -> Validity:
     """The border from the inputs (n, k) that a model was fitted on and their campaigns (n,).
 

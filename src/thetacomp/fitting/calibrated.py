@@ -68,7 +68,7 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
         ),
         leverage=training_leverage(moved, campaign),
         border=Border(
-            distance=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.passage),
+            distance=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.trajectory),
         ),
         components={},
         candidates=len(model.ridge.candidates),

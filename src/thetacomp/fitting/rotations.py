@@ -13,7 +13,7 @@ from thetacomp.model.document import AxisLaw, Component, ModelDocument
 from thetacomp.separation import Separated
 
 
-def with_form(
+def with_joint_form(
     document: ModelDocument,
     folder: MachineFolder,
     separated: Separated,

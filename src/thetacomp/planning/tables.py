@@ -11,7 +11,7 @@ import numpy as np
 from thetacomp.planning.foundation import FoundationTarget, standard_um
 from thetacomp.planning.setup import Setup
 from thetacomp.planning.timetable import COLD_ROUNDS, Block, Timetable, moved_mm, sweep_span_s
-from thetacomp.planning.uncertainty import Reach
+from thetacomp.planning.uncertainty import VisibleChange
 from thetacomp.table_file import Cell, csv_text, fixed
 
 
@@ -105,7 +105,7 @@ def _sign(direction: int) -> str:
     return {1: "+", -1: "-"}.get(direction, "")
 
 
-def uncertainty_csv(reached: Sequence[Reach]) -> str:
+def uncertainty_csv(visible_changes: Sequence[VisibleChange]) -> str:
     """What the plan can see, one row a component."""
     header = [
         "component",
@@ -121,7 +121,7 @@ def uncertainty_csv(reached: Sequence[Reach]) -> str:
         "end_se_um",
         "visible_um",
     ]
-    rows = [[row.component, *(round(getattr(row, name), 2) for name in header[1:])] for row in reached]
+    rows = [[row.component, *(round(getattr(row, name), 2) for name in header[1:])] for row in visible_changes]
     return csv_text(header, rows)
 
 

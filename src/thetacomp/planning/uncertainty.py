@@ -26,7 +26,7 @@ STEEL_UM_PER_M_K = 11.5
 
 
 @dataclass(frozen=True)
-class Reach:
+class VisibleChange:
     """What one heated round tells about one component, as standard errors (k = 1) unless the name says otherwise.
 
     `end_*` belong to the end of the travel that is known worse; `points`, `angle` and `tie` are its three parts.
@@ -57,7 +57,7 @@ class Reach:
         return TWO_SIDED_95 * self.end_se_um
 
 
-def reach(setup: Setup, targets: tuple[FoundationTarget, ...]) -> tuple[Reach, ...]:
+def visible_changes(setup: Setup, targets: tuple[FoundationTarget, ...]) -> tuple[VisibleChange, ...]:
     """Every axis and direction of a plan."""
     return tuple(_component(setup, targets, axis, index) for axis in setup.axes for index in range(3))
 
@@ -69,7 +69,7 @@ def line_covariance(position_mm: Floats, sd_um: Floats, p0_mm: float) -> Floats:
     return np.asarray(inverse @ (design.T * sd_um**2) @ design @ inverse)
 
 
-def _component(setup: Setup, targets: tuple[FoundationTarget, ...], axis: AxisPlan, index: int) -> Reach:
+def _component(setup: Setup, targets: tuple[FoundationTarget, ...], axis: AxisPlan, index: int) -> VisibleChange:
     places = np.array([_tool_mm(setup, axis, position) for position in axis.target_mm])
     distance = np.array([setup.distance_mm(place) for place in places])
     sd_um = np.array([standard_um(setup, one) for one in distance])
@@ -95,7 +95,7 @@ def _component(setup: Setup, targets: tuple[FoundationTarget, ...], axis: AxisPl
             )
         )
     end_mm, end_points, end_angle, end_tie = max(ends, key=lambda end: sum(part**2 for part in end[1:]))
-    return Reach(
+    return VisibleChange(
         component=f"E{CARTESIAN[index]}{axis.name}",
         axis=axis.name,
         direction=CARTESIAN[index],

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report import style
 from thetacomp.report.figures_error import in_order_of_axes
 from thetacomp.report.style import CAMPAIGN_LINES, CAMPAIGN_MARKS, HOUR_S
@@ -28,7 +28,7 @@ _LEAST_UM = 0.05
 
 
 @style.styled
-def before_and_after(analysis: Analysis) -> list[style.NamedFigure]:
+def before_and_after(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """Held-out maximum, p95 and RMS before and after, with the baselines, one picture for each kind of hold-out."""
     figures = []
     for split in dict.fromkeys(row.split for row in analysis.validation):
@@ -152,7 +152,7 @@ def _before_after_legend(models: Sequence[str], worse: bool) -> list[Line2D]:
 
 
 @style.styled
-def error_over_time(analysis: Analysis) -> list[style.NamedFigure]:
+def error_over_time(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """Largest error over the travel at each held-out state, before and after the default model."""
     known = {item.component for item in analysis.held_out}
     ordered = dict.fromkeys(s.component for s in in_order_of_axes(analysis))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thetacomp.arrays import Floats
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.blocks import block_means, local_deviation_K, plausible
-from thetacomp.screening.change_point import change
+from thetacomp.screening.change_point import fit_change
 from thetacomp.screening.events import Event
 from thetacomp.screening.fit import inputs
 from thetacomp.screening.model import ScreeningModel
@@ -196,7 +196,7 @@ def _final_kind(event: Event, reading: Floats, rebuilt: Floats, gone: NDArray[np
     if event.kind == "drift":
         every = max(1, round(model.step_s / model.sampling_s), len(deviation) // 300)
         course = np.concatenate([np.zeros(5), deviation[::every]])
-        found = change(course, earliest=4)
+        found = fit_change(course, earliest=4)
         if not found.abrupt and 3.0 * found.time_constant < len(course):
             event.kind = "detached"
         event.size_K = float(np.nanmean(course[-5:]))

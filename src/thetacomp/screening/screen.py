@@ -88,7 +88,7 @@ def screen(model: ScreeningModel, temperatures: Temperatures) -> Screening:
     for t_s, value in zip(temperatures.t_s, temperatures.value_degC, strict=True):
         detector.update(float(t_s), value)
     detector.finish()
-    events = detector.follower.events
+    events = detector.monitor.events
     events += [e for e in sample_spikes(model, temperatures) if not any(_within(e, other) for other in events)]
     mended, believed = repaired(model, temperatures, [e for e in events if e.kind != "unexplained"])
     believed &= read

@@ -33,7 +33,7 @@ class Instrument:
         return math.hypot(self.u_um, self.u_um + (self.u_um_per_m or 0.0) * apart_mm / 1000.0)
 
     @property
-    def words(self) -> str:
+    def statement(self) -> str:
         """The instrument and its uncertainty in words."""
         if self.u_um is None:
             return "not stated: campaign.toml has no instrument_u_um, so no uncertainty stands beside the results"

@@ -23,7 +23,7 @@ from thetacomp.separation import ComponentSeparation
 Expected = tuple[Floats, Floats]
 
 
-def fitted_pattern(
+def expected_from_fit(
     folder: MachineFolder, states: AxisStates, off: Sequence[str]
 ) -> tuple[tuple[Expected, ...], tuple[str, ...]]:
     """Expected intercept and slope of every sample, component by component, from a fit to the off campaigns alone.
@@ -49,7 +49,7 @@ def fitted_pattern(
     return tuple(out), ()
 
 
-def model_pattern(
+def expected_from_model(
     model: ModelDocument, folder: MachineFolder, states: AxisStates, separations: Sequence[ComponentSeparation]
 ) -> tuple[tuple[Expected, ...], tuple[str, ...]]:
     """Expected intercept and slope of every sample from a stored model; NaN for components it does not predict.

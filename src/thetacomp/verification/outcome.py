@@ -161,7 +161,7 @@ class StateLine:
 
 
 @dataclass(frozen=True)
-class Verification:
+class VerificationResult:
     """Everything the verification page shows. `heat_ratio` is heat on / heat off in terms of expected error.
 
     `states_off` and `states_on` draw the error against the heat. `pattern` says where the expected uncompensated

@@ -76,9 +76,9 @@ def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Seq
     t_s, value = _stream(months, begins_s)
     used, out = np.empty_like(value), np.zeros(value.shape, dtype=np.bool_)
     for i, moment_s in enumerate(t_s):
-        verdict = detector.update(float(moment_s), value[i])
-        used[i] = verdict.value_degC
-        out[i] = [state == "lost" for state in verdict.state]
+        sample = detector.update(float(moment_s), value[i])
+        used[i] = sample.value_degC
+        out[i] = [state == "lost" for state in sample.state]
     end_s = float(t_s[-1])
     told = [
         f
