@@ -32,9 +32,9 @@ def analyze_folder(
     """Run the whole analysis of a machine folder.
 
     `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
-    one line a step. With `repair` the faulty temperatures and held labels that screening finds are mended or left out,
-    else only told. `mix` allows campaigns of different operating modes or active tables in one model. With
-    `compare` other families of models are fitted and judged beside the stored one, which takes minutes. Raises
+    one line a step. With `repair` the faulty temperatures and held labels that screening finds are repaired or left
+    out, else only reported. `mix` allows campaigns of different operating modes or active tables in one model. With
+    `compare` other families of models are fitted and validated alongside the stored one, which takes minutes. Raises
     AnalysisError where the measurements cannot carry an analysis.
     """
     prepared = prepare(folder, train, test, faults="repair" if repair else "tell", mix=mix, progress=progress)
@@ -69,11 +69,11 @@ def analyze_folder(
 def _compare(
     prepared: Prepared, judged: Judged, progress: Progress
 ) -> tuple[tuple[ComparisonRow, ...], tuple[str, ...]]:
-    """Families of models beside the stored one, with the folds of the main hold-out."""
+    """Families of models compared with the stored one, on the folds of the main hold-out."""
     from thetacomp.validation.families.compare import compare_families  # loads scikit-learn
     from thetacomp.validation.families.families import FAMILIES
 
-    # Fitted anew, not taken from the training: the table tells how long each takes.
+    # Fitted anew, not taken from the training: the table states how long each takes.
     standing: dict[str, AnyProcedure] = {
         DEFAULT: calibrated_history,
         KEY_POINTS: key_point_procedure(prepared.folder.machine),

@@ -23,7 +23,7 @@ class AnalysisResult:
     `parameter_correlations` has rows such as `EYX intercept` and the sensors as columns; `sensor_correlations` is
     sensors by sensors. `held_out` is the default model on states that it has not seen. `permutations` are absent where
     too few states exist to shuffle. `angles` are the separated angles of the joint form, in µrad and µrad/m.
-    `comparison` holds families of models beside the stored one, where they were asked for; `sensor_curves` the proven
+    `comparison` holds other families of models, where they were requested; `sensor_curves` the proven
     best sensors of the axes that have enough campaigns.
     """
 

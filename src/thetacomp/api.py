@@ -235,8 +235,8 @@ def analyze(
     """The whole analysis: separation, key points, model, validation on held-out data.
 
     By default all campaigns train and each is held out in turn. `repair` mends the faulty temperatures that screening
-    finds; `mix` lets campaigns of different modes share a model; `compare` judges other families of models beside the
-    stored one (extra `families`). `progress` hears one line a step. Raises InputError, AnalysisError.
+    finds; `mix` lets campaigns of different modes share a model; `compare` validates other families of models alongside
+    the stored one (extra `families`). `progress` hears one line a step. Raises InputError, AnalysisError.
     """
     if compare:
         require("families")

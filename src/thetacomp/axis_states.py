@@ -27,7 +27,7 @@ class Samples:
     Measured points where sweeps exist, the separated line over the travel where only parameters do, the displacement
     itself for drift. `state` is the row of AxisStates; `lever_m` the distance from P0; `noise_sd_um` the scatter of
     the instrument; `history` (n, k) the inputs that AxisStates.layout describes. `drift_um` is the drift of that moment
-    where it was separated apart (joint form), else zero; it is no part of `value_um`.
+    where it was separated on its own (joint form), else zero; it is no part of `value_um`.
     """
 
     state: Ints

@@ -1,4 +1,4 @@
-"""A measuring campaign on the virtual machine: cold block, warm-up with sweeps, cool-down, and the truth beside it."""
+"""A measuring campaign on the virtual machine: cold block, warm-up with sweeps, cool-down, and the truth."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class SweepTruth:
 class Record:
     """What was measured in a campaign, and the truth. Temperatures (n, sensors), tool errors (points, 3).
 
-    Times count from the begin of the campaign. The loggers ran `lead_s` before it: readings and `work` begin there, the
+    Times count from the start of the campaign. The loggers ran `lead_s` before it: readings and `work` begin there, the
     readings at negative times; `work_t_s` are the moments at which the minutes of `work` begin.
     """
 

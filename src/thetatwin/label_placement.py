@@ -1,4 +1,4 @@
-"""Labels beside their dots: each takes the free place nearest to its dot."""
+"""Labels next to their dots: each takes the free place nearest to its dot."""
 
 from __future__ import annotations
 

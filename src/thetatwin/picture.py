@@ -133,7 +133,7 @@ def sensor_marks(machine: VirtualMachine, color: str = "white") -> tuple[Mark, .
 
 
 def _short(sensor: str) -> str:
-    """An id as it is written beside its dot; a chosen place has its rank, as in the picture of `thetacomp place`."""
+    """An id as it is written next to its dot; a chosen place has its rank, as in the picture of `thetacomp place`."""
     return sensor.removeprefix(PLACED).replace("theta_", "θ")
 
 

@@ -21,7 +21,7 @@ _TRUTH_POSITIONS = 25
 
 
 def truth_folder(folder: Path) -> Path:
-    """Where the truth of a machine folder lies: beside it, never inside."""
+    """Where the truth of a machine folder lies: next to it, never inside."""
     return folder.with_name(folder.name + "-truth")
 
 

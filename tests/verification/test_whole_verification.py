@@ -18,7 +18,7 @@ from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument
 from thetacomp.reading import read_folder
 from thetacomp.separation import separate_campaign
-from thetacomp.verification import Verification, verify_folder
+from thetacomp.verification import VerificationResult, verify_folder
 from thetacomp.verification.expected_error import expected_from_fit, expected_from_model
 
 ROUNDS = 5
@@ -53,7 +53,7 @@ def changed(folder: MachineFolder, name: str, **settings: object) -> MachineFold
 
 
 @pytest.fixture(scope="module")
-def result(folder: MachineFolder) -> Verification:
+def result(folder: MachineFolder) -> VerificationResult:
     return verify_folder(folder, ["off"], ["on"], true_model())
 
 
@@ -66,7 +66,7 @@ def expected_um(component: str, heat: float) -> float:
     return float((abs(intercept) + abs(slope) * half_m) * rise)
 
 
-def test_what_is_compared_and_where_it_stands(result: Verification) -> None:
+def test_what_is_compared_and_where_it_stands(result: VerificationResult) -> None:
     names = [f"E{d}{a}" for a in "XY" for d in "XYZ"]
     assert [row.component for row in result.rows] == [*names, "column_X", "column_Z"]
     assert [line.component for line in result.states_off] == ["column_X", "column_Z", *names]
@@ -79,14 +79,14 @@ def test_what_is_compared_and_where_it_stands(result: Verification) -> None:
     assert result.heat_ratio == pytest.approx(0.8, abs=0.02)
 
 
-def test_the_largest_size_of_each_component_is_that_of_the_law(result: Verification) -> None:
+def test_the_largest_size_of_each_component_is_that_of_the_law(result: VerificationResult) -> None:
     for share in result.shares:
         if share.part == "all":
             assert share.size_um == pytest.approx(expected_um(share.component, 0.8), rel=0.05)
             assert share.material == (share.size_um >= 0.1 * max(expected_um(c, 1.0) for c in LAW if c[2] != "W"))
 
 
-def test_harm_is_allowed_up_to_a_quarter_of_the_largest_error_of_its_direction(result: Verification) -> None:
+def test_harm_is_allowed_up_to_a_quarter_of_the_largest_error_of_its_direction(result: VerificationResult) -> None:
     for one in result.harm:
         largest = max(expected_um(f"E{one.component[1]}{axis}", 1.0) for axis in "XY")
         assert one.limit_um == pytest.approx(0.25 * largest, rel=0.08)
@@ -102,7 +102,7 @@ def test_a_coarse_instrument_of_either_run_raises_what_can_be_judged(folder: Mac
     assert not any("instrument_u_um" in note for note in coarse.notes)
 
 
-def test_what_nobody_stated_is_said(folder: MachineFolder, result: Verification) -> None:
+def test_what_nobody_stated_is_said(folder: MachineFolder, result: VerificationResult) -> None:
     assert not any("operating mode" in note or "instrument_u_um" in note for note in result.notes)
     silent = changed(folder, "on", instrument_u_um=None)
     notes = verify_folder(silent, ["off"], ["on"], true_model()).notes

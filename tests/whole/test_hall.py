@@ -45,7 +45,7 @@ from thetacomp.reading import check_folder, read_folder
 from thetacomp.separation import Separated, separate_all
 from thetacomp.tracker.frame import nominal_mm
 from thetacomp.tracker.rigid import fit_rigid, point_covariance_um2
-from thetacomp.verification.outcome import Verification
+from thetacomp.verification.outcome import VerificationResult
 from thetacomp.verification.verify import verify_folder
 
 TRAINING = ("2026-03-02", "2026-03-03", "2026-03-04", "2026-03-05")
@@ -301,7 +301,7 @@ class Trial:
     hall: Hall
     separated: Separated
     model: ModelDocument
-    verification: Verification
+    verification: VerificationResult
 
 
 def trial(path: Path, plan: Path, seed: int) -> Trial:

@@ -1,4 +1,4 @@
-"""`thetacomp demo`: every command of a first day, run on the bundled machine, with a word on what each one is for."""
+"""`thetacomp demo`: every command of a first day, run on the bundled machine, with a line on what each one is for."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def _run_command(context: typer.Context, arguments: list[str], as_json: bool) ->
 
 
 def _in_short(results: Path) -> str:
-    """The column deviation held out in two ways, the model beside the clock, from the tables of the analysis."""
+    """The column deviation held out in two ways, model and clock, from the tables of the analysis."""
     lines = ["In short: reduction of the largest column deviation, on data that the model has not seen"]
     for file, held_out in (
         ("validation.csv", "each state in turn"),

@@ -1,4 +1,4 @@
-"""`thetacomp place`: where sensors tell most, from the field of the virtual machine."""
+"""`thetacomp place`: where sensors are most informative, from the field of the virtual machine."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def _place(path: Path) -> Callable[[int], str]:
 
         if path.suffix.lower() == ".xlsx":
             return f"{path.name}, data row {i + 1}"
-        # Rows may be apart where the file has blank lines: the file is asked again, but only for a message.
+        # Blank lines separate rows in the file: the file is read again, but only for a message.
         return f"{path.name}, row {int(read_source(path, path.name).rows[i])}"
 
     return place

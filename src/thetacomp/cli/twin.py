@@ -1,4 +1,4 @@
-"""`thetacomp twin`: a virtual machine and its campaigns as a machine folder, the truth beside it."""
+"""`thetacomp twin`: a virtual machine and its campaigns as a machine folder, the truth next to it."""
 
 from __future__ import annotations
 

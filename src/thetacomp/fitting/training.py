@@ -117,7 +117,7 @@ def _document(
 
 
 def _where_possible(training: Sequence[AxisStates], procedure: Procedure) -> Fitted:
-    """The paper's model stands beside ours: an axis that it cannot serve does not stop the work."""
+    """The paper's model, for comparison: an axis that it cannot serve does not stop the analysis."""
     fitted = []
     for states in training:
         try:

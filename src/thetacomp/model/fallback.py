@@ -43,7 +43,7 @@ def start_transfer(
 ) -> BumplessTransfer:
     """Carry the output over to another law: `output` is what was put out last, `law` what the new law says.
 
-    Serves every change of laws alike: to a fallback, to another one, and back when the sensor returns.
+    Serves every change of laws: to a fallback, to another one, and back when the sensor returns.
     """
     return BumplessTransfer(t_s, tuple(old - new for old, new in zip(output, law, strict=True)), decay_s)
 

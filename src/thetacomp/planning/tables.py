@@ -78,7 +78,7 @@ def points_csv(timetable: Timetable, targets: Sequence[FoundationTarget]) -> str
 
 
 def tracker_points_csv(timetable: Timetable) -> str:
-    """The same readings as the table `tracker_points` of a campaign: it tells what the points of a tracker's file are.
+    """The same readings as the table `tracker_points` of a campaign: it says what the points of a tracker's file are.
 
     The name in the tracker's file is `point`. `target` is the place that is read: a nest of the foundation, or an axis
     with the number of its position. One station, so there is no column for it.

@@ -7,7 +7,7 @@ covariance of the fitted line (I, S) of a heated round is
 
 with the expanded uncertainty (k = 2) `a + b d` of a point at the distance d. The second term is an angle error of the
 instrument that is common to a sweep: `thetacomp analyze` takes it into its standard errors in the same way. What the
-foundation targets leave open about the station is added where the drift of the tool against the floor is asked for.
+foundation targets leave open about the station is added where the drift of the tool against the floor is evaluated.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ STEEL_UM_PER_M_K = 11.5
 
 @dataclass(frozen=True)
 class VisibleChange:
-    """What one heated round tells about one component, as standard errors (k = 1) unless the name says otherwise.
+    """What one heated round shows of one component, as standard errors (k = 1) unless the name says otherwise.
 
     `end_*` belong to the end of the travel that is known worse; `points`, `angle` and `tie` are its three parts.
-    `visible_um` is the smallest change there that is told from nothing with 95 % confidence.
+    `visible_um` is the smallest change there that is significant at 95 % confidence.
     """
 
     component: str
@@ -53,7 +53,7 @@ class VisibleChange:
 
     @property
     def visible_um(self) -> float:
-        """Smallest change at the end of the travel that one round tells from nothing (95 %)."""
+        """Smallest change at the end of the travel that is significant in one round (95 %)."""
         return TWO_SIDED_95 * self.end_se_um
 
 

@@ -165,7 +165,7 @@ def _draw_geometry(axes: Axes, part: ComponentSeparation) -> None:
 
 @style.styled
 def drift_over_time(analysis: AnalysisResult) -> list[style.NamedFigure]:
-    """Drift at a fixed position over time with the stored model beside it, one picture for each campaign."""
+    """Drift at a fixed position over time with the stored model, one picture for each campaign."""
     figures = []
     for number, campaign in enumerate(analysis.folder.campaigns, start=1):
         parts = [s for s in analysis.separations if s.campaign == campaign.name and s.axis is None]

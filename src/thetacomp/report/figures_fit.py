@@ -229,7 +229,7 @@ def _draw_diagonal(axes: Axes, drawn: Sequence[_States]) -> None:
 
 
 def _label_states(axes: Axes, drawn: Sequence[_States], modelled: bool, rising: bool) -> None:
-    """Hours at the states: all where there are few and they stand apart, outlying ones always."""
+    """Hours at the states: all where there are few and they do not overlap, outlying ones always."""
     labels = [
         (float(states.x[k]), float(states.value[k]), f"{states.part.t_s[k] / HOUR_S:.1f} h", bool(out[k]))
         for states in drawn

@@ -79,7 +79,7 @@ def _repaired_words(analysis: AnalysisResult, campaigns: Sequence[Campaign]) -> 
 
 
 def _draw_campaign(axes: Axes, analysis: AnalysisResult, campaign: Campaign, height_in: float) -> tuple[bool, bool]:
-    """Temperatures of one campaign; tells whether heat and reference could be marked."""
+    """Temperatures of one campaign; returns whether heat and reference could be marked."""
     draw_temperatures(axes, campaign, key_colors(analysis), height_in)
     heated = mark_heat(axes, campaign)
     reference_s = _reference_s(analysis, campaign)
@@ -133,7 +133,7 @@ def _end_labels(axes: Axes, names: list[str], ends: Floats, colors: dict[str, st
 
 
 def mark_heat(axes: Axes, campaign: Campaign) -> bool:
-    """Shade the time in which the spindle or a feed ran; False where duty.csv does not tell."""
+    """Shade the time in which the spindle or a feed ran; False where duty.csv does not say."""
     if campaign.duty is None or not campaign.duty.columns:
         return False
     running = np.any([np.nan_to_num(column) > 0.0 for column in campaign.duty.columns.values()], axis=0)

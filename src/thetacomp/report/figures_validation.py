@@ -1,4 +1,4 @@
-"""Pictures of the validation: before and after beside the baselines, and the error over time."""
+"""Pictures of the validation: before and after with the baselines, and the error over time."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def before_and_after(analysis: AnalysisResult) -> list[style.NamedFigure]:
 
 
 def _largest(rows: Sequence[ValidationRow], component: str, model: str, field: str) -> float:
-    """A figure of one component and model; the largest where rows of several campaigns stand beside each other."""
+    """A figure of one component and model; the largest where there are rows of several campaigns."""
     values = [float(getattr(r, field)) for r in rows if r.component == component and r.model == model]
     good = [v for v in values if np.isfinite(v)]
     return max(*good, _LEAST_UM) if good else float("nan")
@@ -91,7 +91,7 @@ def _draw_statistic(
         axes.plot([after, before], [k, k], color=color, lw=5, alpha=0.75, solid_capstyle="butt", zorder=1)
         shown += [before, after]
         axes.plot(before, k, "|", color=style.BEFORE, ms=13, mew=2.2, zorder=2)
-        # A little apart, so that models that are equally good do not hide each other.
+        # Slightly offset, so that models that are equally good do not hide each other.
         offsets = np.linspace(-0.24, 0.24, len(models)) if len(models) > 1 else np.zeros(1)
         for model, offset in zip(models, offsets, strict=True):
             value = _largest(rows, component, model, f"{statistic}_after_um")

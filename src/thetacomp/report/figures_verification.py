@@ -111,7 +111,7 @@ def _draw_share(axes: Axes, k: int, share: Share) -> None:
 
 @style.styled
 def harm_maps(result: VerificationResult) -> list[style.NamedFigure]:
-    """Residual less uncompensated error at like heat by position and time: the worst three on the page, and all."""
+    """Residual less uncompensated error at the same heat by position and time: the worst three on the page, and all."""
     if not result.harm:
         return []
     ordered = sorted(result.harm, key=lambda one: one.limit_um - one.largest_um)

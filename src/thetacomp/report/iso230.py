@@ -40,7 +40,7 @@ class Grid:
 def iso230_files(machine: Machine | None, tests: Sequence[Evaluated]) -> dict[str, str | bytes]:
     """`iso230.csv`, a page for each test and its figure in `figures/`, by file name, the table first.
 
-    `machine` is None for a lone table. Letters that no installed font can draw are told on stderr.
+    `machine` is None for a lone table. Letters that no installed font can draw are reported on stderr.
     """
     cells = ([plain(value) for value in astuple(row)] for test in tests for row in figure_rows(test))
     files: dict[str, str | bytes] = {TABLE: csv_text([field.name for field in fields(FigureRow)], cells)}

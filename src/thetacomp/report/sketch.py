@@ -198,7 +198,7 @@ def _floor_type_marks(machine: Machine) -> list[_Mark]:
 
 
 def _label_marks(axes: Axes, marks: Sequence[_Mark], look: _Look, middle_u: float) -> None:
-    """Ids in two columns beside the drawing, each with a line to its mark."""
+    """Ids in two columns next to the drawing, each with a line to its mark."""
     low_u, high_u = axes.get_xlim()
     low_v, high_v = axes.get_ylim()
     for side in ("left", "right"):

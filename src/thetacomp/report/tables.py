@@ -68,7 +68,7 @@ class KeyPoint:
 
 @dataclass(frozen=True)
 class Headline:
-    """Held-out figures of one component, with the residual maximum of the clock beside them (NaN: none)."""
+    """Held-out figures of one component, with the residual maximum of the clock (NaN: none)."""
 
     name: str
     row: ValidationRow
@@ -77,9 +77,9 @@ class Headline:
 
 @dataclass(frozen=True)
 class ValidationLine:
-    """One line of the table: the names of its models, their row, `states` and `points` (None: not told).
+    """One line of the table: the names of its models, their row, `states` and `points` (None: not stated).
 
-    `remark` is told instead of the figures where they are those of the default model.
+    `remark` is shown instead of the figures where they are those of the default model.
     """
 
     name: str
@@ -120,7 +120,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class StateTable:
-    """Slope and intercept of one component at its states; `skipped` tells how many rows a long record left out."""
+    """Slope and intercept of one component at its states; `skipped` says how many rows were left out."""
 
     part: ComponentSeparation
     states: tuple[int, ...]

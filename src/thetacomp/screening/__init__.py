@@ -1,4 +1,4 @@
-"""Data hygiene: faulty temperature channels found from the other sensors, mended where possible, with the evidence.
+"""Data hygiene: faulty temperature channels found from the other sensors, repaired where possible, with the evidence.
 
 At run time it needs numpy alone, so that the online service can screen live samples with the same code.
 """

@@ -1,4 +1,4 @@
-"""When and how a residual left zero: the begin of a change and whether it was a step or took its time."""
+"""When and how a residual left zero: the onset of a change, and whether it was a step or gradual."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class ScreenedSample:
 
 @dataclass
 class _Block:
-    """Sums of the samples of one block; samples far from the last value count apart until the block is full."""
+    """Sums of the samples of one block; samples far from the last value count separately until it is full."""
 
     near: Floats
     far: Floats

@@ -3,7 +3,7 @@
 Inputs have unit length over all rows (the diagonal of `gram` is 1), targets carry the square roots of their weights and
 together have the sum of squares 1. A subset's `residual` is then the unexplained share, its score in 0..1 or above.
 
-The search walks a tree: a node is a set of chosen columns and an ordered list of free ones, and stands for all subsets
+The search walks a tree: a node is a set of chosen columns and an ordered list of free ones, and represents all subsets
 that add `k - chosen` of the free columns. Nodes lie in rows (columns chosen, columns free, the chosen, the free ...);
 those with as many chosen and free columns are worked on together. With the chosen columns swept out of A = XᵀX and
 M = XᵀYWYᵀX, the pair (i, j) explains (A_jj M_ii - 2 A_ij M_ij + A_ii M_jj) / det more. That form is a filter: what it
@@ -135,7 +135,7 @@ def fold_squares(products: Products, subset: Subsets) -> Floats:
 
 
 class Incumbent:
-    """The best subset so far; of those that score alike the one listed first."""
+    """The best subset so far; of those with equal scores the one listed first."""
 
     def __init__(self, products: Products, k: int) -> None:
         self.products = products
@@ -255,7 +255,7 @@ def pair_margins(gram: Floats, mixed_gram: Floats, needed: Floats, error: Floats
 
 
 def compare(nodes: Nodes, k: int, incumbent: Incumbent) -> int:
-    """Offer every subset of nodes, all alike and with two or three columns to add, that may be the best.
+    """Offer every subset of nodes of one shape, two or three columns to add, that may be the best.
 
     Returns the number of subsets compared.
     """

@@ -52,8 +52,8 @@ def key_points_from_correlations(
 ) -> tuple[AxisKeyPoints, ...]:
     """The paper's way from published tables alone, one result a moving axis.
 
-    Rows of `parameter_correlations` are named such as `EYX slope`. `machine` tells which sensors sit on a drive and
-    how long the names of its axes are; without it the medoid of each group stands for it. `thresholds` sets the
+    Rows of `parameter_correlations` are named such as `EYX slope`. `machine` says which sensors sit on a drive and
+    how long the names of its axes are; without it the medoid of each group represents it. `thresholds` sets the
     largest regret by axis. Raises AnalysisError for a row whose name is not understood, or where the two tables have
     no sensor in common.
     """

@@ -2,7 +2,7 @@
 
 Five of the six strategies of Yang (dissertation, Shanghai Jiao Tong University 1998, as cited by Cui, Gao, Yao 2012).
 The sixth, observability, asks whether the deformation can be reconstructed from the readings: that needs a model of
-the deformation and cannot be told from correlations.
+the deformation and cannot be judged by correlations.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from thetacomp.sensors.key_points import StrategyDecision, StrategyTable
 NAN = float("nan")
 
 WEIGHTED_REGRET = 0.20
-# Within this of the best |r| of one parameter a sensor tells that parameter as well as the best does.
+# Within this of the best |r| of one parameter a sensor predicts that parameter as well as the best does.
 NEAR_BEST = 0.05
-# Two sensors with |r| = 0.9 still tell a gradient or a history by their difference, which a model can use.
+# The difference of two sensors with |r| = 0.9 still holds a gradient or a history, which a model can use.
 GROUP_R = 0.95
 MIN_GAIN = 0.05
 # No instrument resolves a gain below this, so it is no reason for another sensor.
@@ -160,7 +160,7 @@ def mutual_irrelevance(
     drive_sensors: Sequence[str] = (),
     threshold: float = GROUP_R,
 ) -> tuple[StrategyTable, tuple[tuple[str, ...], ...]]:
-    """Mutual irrelevance: one representative of every group of sensors that tell the same.
+    """Mutual irrelevance: one representative of every group of redundant sensors.
 
     The representative is the first of `drive_sensors` (those on the drive of the moving axis) in the group, else the
     group's medoid. Returns the table and the groups. The figure is |r| with the representative.

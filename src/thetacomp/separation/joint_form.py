@@ -10,7 +10,7 @@ that a carries. The constant part of a rotation is a slope of the axes behind it
 
 The zero stays that of each axis' own cold sweeps: a resting axis stands on one side of its reversal, so the constants
 of the cold sweeps differ by a few µm, and one common zero would turn that into false drift. Their mean is the one
-constant of the geometry, and their spread is told.
+constant of the geometry, and their spread is reported.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ def _with_looks(
     sweeps: Nodes,
     covariance: Floats,
 ) -> tuple[Nodes, tuple[str, ...]]:
-    """The drift of the sweeps joined with the drift record, whose gross readings are left out and told."""
+    """The drift of the sweeps joined with the drift record, whose gross readings are left out and reported."""
     looks = whole.looks
     if looks is None or not len(sweeps.t_s):
         return sweeps, ()

@@ -78,7 +78,7 @@ def separate_axis(
     cold = np.array([ends[number] <= reference_s + 1.0 for number in own])
     notes: list[str] = []
     if not cold.any():
-        # Better than refusing: the first sweep carries little heat; the user is told what it means.
+        # Better than refusing: the first sweep carries little heat; a note says what it means.
         cold[0] = True
         notes.append(
             f"no sweep of axis {axis.name} ended before the reference ({reference_s:.0f} s); its first sweep serves as"

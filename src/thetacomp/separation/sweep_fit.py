@@ -7,9 +7,9 @@ Model of a measured point i in sweep k (paper, equations 1 and 2, every point at
 `I = S = C = 0` in the cold block, and C = 0 throughout where a line follows the heat. Between sweeps they change;
 inside a sweep they move with the rate of the parabola through the neighbouring states, which is linear in the unknowns,
 so one least-squares problem holds it all. `α_k` is an angle error of the instrument common to a sweep: it cannot be
-told from a slope and enters as a random effect of known standard deviation, which widens the stated intervals by just
-what it costs. Tracker points bring a second one: what the tie to the foundation leaves in a sweep, an offset and a
-slope of known covariance. They also bring weights.
+distinguished from a slope and enters as a random effect of known standard deviation, which widens the stated intervals
+by just what it costs. Tracker points bring a second one: what the tie to the foundation leaves in a sweep, an offset
+and a slope of known covariance. They also bring weights.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a machine passed through between its measured states: a border is asked there, too, not only while measuring."""
+"""The inputs of a machine between its measured states: validity is checked there, too, not only at the states."""
 
 from __future__ import annotations
 

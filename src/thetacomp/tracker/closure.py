@@ -102,7 +102,7 @@ def without_moved_targets(
 ) -> tuple[Network, list[TrackerDoubt]]:
     """The network without targets that moved against the others, found one by one, and what was found.
 
-    The target goes without which the rest closes best. Where that cannot be told the network stays as it is.
+    The target is removed without which the rest closes best. Where that is undecided the network stays as it is.
     """
     found: list[TrackerDoubt] = []
     while network.chi2.sum() > chi2_quantile(float(network.freedom.sum()), Z_9999):

@@ -9,7 +9,7 @@ from thetacomp.errors import AnalysisError
 
 @dataclass(frozen=True)
 class TrackerDoubt:
-    """Something doubtful in the tracker points: what was found, and how to mend it."""
+    """Something doubtful in the tracker points: what was found, and how to fix it."""
 
     code: str
     message: str

@@ -20,7 +20,7 @@ UNBRACKETED_S = 3600.0
 def usable_rounds(
     readings: Foundation, rounds: tuple[Round, ...], stations: Sequence[str], to_machine: dict[str, Floats]
 ) -> tuple[tuple[Round, ...], list[TrackerDoubt]]:
-    """Rounds that fix all six motions; the others are told. Raises FrameError where a station has none.
+    """Rounds that fix all six motions; the others are reported. Raises FrameError where a station has none.
 
     `to_machine` holds, for stations that took part in the cold block, the rough rotation into machine axes.
     """

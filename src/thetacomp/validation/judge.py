@@ -1,4 +1,4 @@
-"""What trained models are worth: held out beside every baseline, against chance, and in a table of checks."""
+"""What trained models are worth: held out with every baseline, against chance, and in a table of checks."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Judged:
 
 
 def judge(prepared: Prepared, trained: Trained, progress: Progress = lambda message: None) -> Judged:
-    """Repeat the whole training inside every fold, with each baseline beside it, and check what must hold."""
+    """Repeat the whole training inside every fold, for the model and each baseline, and make the acceptance checks."""
     progress("validating on held-out data")
     residuals: list[Residuals] = []
     rows: list[ValidationRow] = []

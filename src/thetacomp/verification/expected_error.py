@@ -1,6 +1,6 @@
-"""The uncompensated error that the temperatures let expect in any run: from a stored model, or fitted to the off run.
+"""The uncompensated error expected from the temperatures of any run: by a stored model, or by a fit to the off run.
 
-It brings both runs to like heat, and it is the pattern that tells which share of the correction was applied.
+With it both runs are compared at the same heat, and the share of the correction that was applied is estimated.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Straightness and squareness in the sense of ISO 230-1, apart from the column deviation and not mixed with it."""
+"""Straightness and squareness in the sense of ISO 230-1, separate from the column deviation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The clock as a rival: what hours alone tell of the error of the tool, no thermometer."""
+"""The clock as a baseline: the error of the tool predicted from elapsed time alone, no thermometer."""
 
 from __future__ import annotations
 

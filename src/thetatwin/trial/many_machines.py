@@ -1,7 +1,7 @@
 """Verification of many virtual machines: measure, analyse, run with compensation, and compare column deviations.
 
 As in the paper: the column's deviation is the largest deviation of the tool from its cold reference over the column's
-travel, in X and in Z, over all sweeps after the cold block. It is told as the tracker measures it and as it truly is.
+travel, in X and in Z, over all sweeps after the cold block. It is given as the tracker measures it and as it truly is.
 Calibration and compensation go the way of a user: files, screening, joint form, stored model, positions of all axes.
 """
 

@@ -34,7 +34,7 @@ def trial_files(trial: Trial, rows: Sequence[MonthRow], checks: Sequence[Accepta
 
 @dataclass(frozen=True)
 class _Told:
-    """A fault as the page tells it: begin and end as month and day of the months that are judged, from 1 on."""
+    """A fault as the page shows it: start and end as month and day of the months that are judged, from 1 on."""
 
     sensor: str
     kind: str

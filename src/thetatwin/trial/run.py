@@ -58,7 +58,7 @@ class Trial:
     """What is judged: errors of the tool in µm, (n, places, 3) at `t_s` (n,), by column; `nothing` is the true error.
 
     The error counts from the middle of the first cold block, as it does for the model. `band_um` are half widths of
-    the stored model's bands, NaN where there are none; `in_domain` (n, places) its flag. `probes` tells how often the
+    the stored model's bands, NaN where there are none; `in_domain` (n, places) its flag. `probes` says how often the
     adaptation took, limited or gated a probe; `screened` are the readings that all models were given.
     """
 

@@ -1,4 +1,4 @@
-"""The comparison table: every family with the folds of the validation, beside the stored model and the clock."""
+"""The comparison table: every family with the folds of the validation, with the stored model and the clock."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class _Watched:
         began_s = time.perf_counter()
         model = self._procedure(states)
         self.seconds = time.perf_counter() - began_s
-        own = getattr(model, "own", model)  # the joint form puts the drift beside the axis
+        own = getattr(model, "own", model)  # the joint form adds the drift to the axis
         self.scored = own.scored if isinstance(own, FamilyModel) else 0
         return model
 
