@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import ELAPSED_TIME, AxisModel, Procedure
 from thetacomp.model.document import Accuracy
-from thetacomp.states import AxisStates
 
 Split = tuple[Ints, Ints]
 """Rows that train and rows that test."""

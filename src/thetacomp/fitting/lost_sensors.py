@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
 from thetacomp.fitting.fallbacks import accuracy_of
 from thetacomp.model.document import Accuracy, AxisLaw, Component, Fallback
 from thetacomp.separation.component import ComponentSeparation
-from thetacomp.states import AxisStates, axis_states
 
 
 def with_fallbacks(
