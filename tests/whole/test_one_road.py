@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,14 @@ def joint() -> MachineFolder:
 
 
 FOLDERS = {"faulty": faulty, "joint": joint}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_curves() -> Iterator[None]:
+    """One and two sensors of the curve tell what is compared here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("thetacomp.sensors.sensor_curve.MOST_SENSORS", 2)
+        yield
 
 
 @pytest.fixture(scope="module", params=list(FOLDERS))
