@@ -13,9 +13,8 @@ from thetacomp.campaign import Campaign, CampaignSettings, Drift, MachineFolder,
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import calibrated_history
-from thetacomp.fitting.fallbacks import axis_fallbacks, states_without
+from thetacomp.fitting.fallbacks import axis_fallbacks, states_without, with_fallbacks
 from thetacomp.fitting.key_point_law import AxisModel, clock, fit_axis
-from thetacomp.fitting.lost_sensors import with_fallbacks
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
 from thetacomp.folds import hold_out
 from thetacomp.machine import Axis, Machine, Sensor

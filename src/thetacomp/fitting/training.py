@@ -11,11 +11,10 @@ from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
-from thetacomp.fitting.fallbacks import AxisFallback, axis_fallbacks
+from thetacomp.fitting.fallbacks import AxisFallback, axis_fallbacks, with_fallbacks
 from thetacomp.fitting.fit_cache import CachedProcedure
 from thetacomp.fitting.history_model import MIN_CAMPAIGNS
 from thetacomp.fitting.key_point_law import AxisModel, Procedure
-from thetacomp.fitting.lost_sensors import with_fallbacks
 from thetacomp.fitting.procedures import key_point_procedure, paper_procedure
 from thetacomp.fitting.rotations import with_joint_form
 from thetacomp.folds import hold_out, main_split
