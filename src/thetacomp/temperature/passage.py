@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.temperature.history_track import HistoryTrack
 
 # below the shortest lag of 480 s, so that no swing of it is missed
@@ -36,7 +36,7 @@ class Passage:
         return Passage(self.campaign[kept], self.t_s[kept], self.inputs[kept])
 
 
-def passage(track: HistoryTrack, layout: HistoryLayout | None, campaign: int, measured_s: Floats) -> Passage:
+def passage(track: HistoryTrack, layout: InputLayout | None, campaign: int, measured_s: Floats) -> Passage:
     """One campaign with states at `measured_s` (n,): those moments, and others so that no step is above 300 s."""
     t_s = _filled(np.unique(measured_s))
     absolute = track.absolute(t_s)
