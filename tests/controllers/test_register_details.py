@@ -317,6 +317,23 @@ def test_values_at_the_states_are_those_of_the_law_in_table_and_program() -> Non
     assert [float(cell) for cell in lines[begin + 11].split()[1:]] == [30.0, 0.1, 0.0002, -0.8, 0.8]
 
 
+def test_values_have_the_places_that_a_thousandth_of_a_micrometre_needs() -> None:
+    """K0 in mm to 1e-7, tanβ to 1e-12, a weight to 1e-9; 10 K times factors of many digits."""
+    made = mill()
+    odd = term(0.0, 10.123456789), term(0.0, 20.123456789)
+    parts = {
+        "EXX": component("EXX", *odd, T, p=(200.0, 0.0, 1000.0)),
+        "EXY": component("EXY", *odd, T, p=(0.0, -500.0, 2000.0)),
+    }
+    changed = make_plan(made.model_copy(update={"components": parts}), SinumerikSettings())
+    last = list(csv.reader(values_csv(changed).splitlines()))[-1]
+    reference = np.ceil(1.25 * 201.23456789)
+    assert last[1:] == ["0.1012346", "0.000201234568", f"{201.23456789 / reference:.9f}"]
+    lines = temperature_program(changed).splitlines()
+    begin = next(i for i, line in enumerate(lines) if "--- 4" in line)
+    assert lines[begin + 11].split()[2:] == last[1:]
+
+
 def test_a_program_has_no_line_beyond_what_a_control_reads() -> None:
     """Seven registers and more go into several tables of six columns."""
     lines = temperature_program(plan_registers(three_axes(), SinumerikSettings())).splitlines()

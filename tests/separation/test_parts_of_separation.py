@@ -351,6 +351,16 @@ def test_what_is_stated_of_a_component() -> None:
     assert (curve.se_um > 0).all()
 
 
+def test_a_direction_that_was_not_measured_hides_none_behind_it() -> None:
+    campaign = swept(noisy().error_um, letters=3)
+    points = campaign.sweeps
+    assert points is not None
+    error = points.error_um.copy()
+    error[:, 1] = np.nan
+    found = separate_campaign(MACHINE, replace(campaign, sweeps=replace(points, error_um=error)))
+    assert [s.component for s in found] == ["EXY", "EZY"]
+
+
 def test_an_outlier_does_not_count_in_the_rms_of_its_sweep() -> None:
     error = noisy().error_um
     error[25] += 80.0
