@@ -52,7 +52,11 @@ class Room:
 
 ROOMS = {
     "separation": Room(("separation",), ("separation",), "intervals or test_bend or white_noise"),
-    "reading": Room(("reading",), ("reading",), "random or spoilt_character or round_trip or damaged"),
+    "reading": Room(
+        ("reading",),
+        ("reading", "standards/test_iso230_pages.py"),
+        "random or spoilt_character or round_trip or damaged",
+    ),
     "verification": Room(("verification",), ("verification",), "test_verify"),
     "controllers": Room(("controllers",), ("controllers",), "machine_folder"),
     "standards": Room(("standards",), ("standards",)),

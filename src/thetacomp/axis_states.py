@@ -11,7 +11,7 @@ import numpy as np
 from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.separation.component import ComponentSeparation, mean_square_m2
 from thetacomp.temperature.history_track import HistoryTrack, history_layout, history_track
 from thetacomp.temperature.trajectory import Trajectory, concatenated, measured_trajectory
@@ -80,7 +80,7 @@ class AxisStates:
     cold_slope_um_per_m: Floats
     history: Floats
     reference_history: Floats
-    layout: HistoryLayout | None
+    layout: InputLayout | None
     trajectory: Trajectory
     samples: tuple[Samples, ...]
 
@@ -219,7 +219,7 @@ def _campaign_states(
     members: Sequence[ComponentSeparation],
     p0_mm: float,
     zero_degC: Floats | None,
-    layout: HistoryLayout | None,
+    layout: InputLayout | None,
     zero_history: Floats | None,
 ) -> AxisStates:
     campaign, sensors = folder.campaign(name), folder.machine.sensor_ids
@@ -309,7 +309,7 @@ _BY_ROW = (
 
 
 def _track(
-    campaign: Campaign, layout: HistoryLayout | None, zero_t_s: Floats, zero_history: Floats | None
+    campaign: Campaign, layout: InputLayout | None, zero_t_s: Floats, zero_history: Floats | None
 ) -> HistoryTrack:
     """History of a campaign; with a common datum it counts from the zero of the first campaign."""
     if layout is None:

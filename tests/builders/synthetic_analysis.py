@@ -19,7 +19,7 @@ from thetacomp.campaign import Campaign, CampaignSettings, CorrelationTable, Dri
 from thetacomp.machine import Axis, HeatSource, Machine, Sensor, SensorRole
 from thetacomp.model.border import Border
 from thetacomp.model.document import AxisLaw, Term
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.format_1 import from_format_1
 from thetacomp.model.leverage import regression_leverage
 from thetacomp.model.temperatures import Duty, Temperatures
@@ -466,7 +466,7 @@ def no_key_point_analysis() -> AnalysisResult:
         for name, component in law.components.items()
     }  # fmt: skip
     nothing = law.model_copy(
-        update={"layout": HistoryLayout.plain(()), "reference": law.reference.model_copy(update={"inputs": ()}),
+        update={"layout": InputLayout.plain(()), "reference": law.reference.model_copy(update={"inputs": ()}),
                 "leverage": law.leverage.of_inputs(()), "border": Border(), "components": components}
     )  # fmt: skip
     points = tuple(replace(p, key_points=()) if p.axis == "Y" else p for p in analysis.key_points)
@@ -504,7 +504,7 @@ def _two_inputs(law: AxisLaw, folder: MachineFolder, parts: Sequence[ComponentSe
     reference = law.reference.model_copy(update={"inputs": tuple(float(start[sensors.index(i)]) for i in inputs)})
     border = Border(dict.fromkeys(inputs, (19.0, 31.5)), dict.fromkeys(inputs, (0.0, 12.0)))
     return law.model_copy(
-        update={"layout": HistoryLayout.plain(inputs), "reference": reference, "leverage": shapes[0],
+        update={"layout": InputLayout.plain(inputs), "reference": reference, "leverage": shapes[0],
                 "border": border, "components": components}
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ from thetacomp.fitting.key_point_law import fit_axis
 from thetacomp.fitting.rotations import with_joint_form
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of
 from thetacomp.model.document import ModelDocument
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.prediction import predict
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.model.volume import Part, ThermalParts, volume_error
@@ -249,7 +249,7 @@ def test_an_angle_without_its_sensor_is_left_out_and_named() -> None:
     """The angles of the drift hang on a sensor that the table lacks: the rest is as in a model without angles."""
     drift = small().control[""]
     angles = {name: drift.components[f"D{d}"] for name, d in (("DA", "X"), ("DB", "Y"), ("DC", "Z"))}
-    angle = drift.model_copy(update={"layout": HistoryLayout.plain(("b",)), "components": angles})
+    angle = drift.model_copy(update={"layout": InputLayout.plain(("b",)), "components": angles})
     positions, longer = {"X": np.array([700.0]), "W": np.array([400.0])}, np.array([700.0])
     with_angle = small().model_copy(update={"rotations": {"": angle}})
     found = predict_volume(with_angle, warm(), np.array([100.0]), positions, longer)

@@ -50,6 +50,7 @@ def test_drift_of_a_machine_that_only_drifts() -> None:
         assert drift.cold.tolist() == [True] * 3 + [False] * 18
         assert (np.diff(drift.t_s) > 0).all()
         assert (drift.reference_s, drift.form, drift.axis) == (REFERENCE_S, "joint", None)
+        assert not np.any([drift.slope_um_per_m, drift.slope_se_um_per_m])
         np.testing.assert_allclose(drift.zero_t_s, points_of(quiet(drifting())).t_s[:42])
         # Three intercepts hold the drift three times: two too many.
         wrong_um = float(drift.notes[0].split("by up to ")[1].split(" µm")[0])

@@ -281,3 +281,5 @@ def test_the_facts_of_several_campaigns_are_the_longest_and_the_largest() -> Non
     assert dict(found.rises_K) == {"t1": pytest.approx(4.0), "t2": pytest.approx(-10.0)}
     assert [name for name, _ in found.rises_K] == ["t2", "t1"]
     assert found.heated_sweeps == 6
+    other = facts([warm, calm], [part("EXX", "b"), part("EXX", "a", **longer)])
+    assert (other.rises_K, other.hours, other.start_degC) == (found.rises_K, found.hours, found.start_degC)

@@ -17,7 +17,7 @@ from thetacomp.fitting.linear import ThermalRegression
 from thetacomp.model.band import Band
 from thetacomp.model.border import Border
 from thetacomp.model.document import AxisLaw, Component, Fallback, ModelDocument, Reference, Term, Training
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage, regression_leverage
 from thetacomp.model.student import t_quantile
 
@@ -89,7 +89,7 @@ def key_point_law(states: AxisStates, model: AxisModel, ranges: Border, datum: s
         p0_mm=None if drift else states.p0_mm,
         p_min_mm=None if drift else states.p_min_mm,
         p_max_mm=None if drift else states.p_max_mm,
-        layout=HistoryLayout.plain(inputs),
+        layout=InputLayout.plain(inputs),
         reference=Reference(
             campaign=states.campaigns[int(states.campaign[0])],
             t_s=float(states.reference_s[0]),

@@ -16,7 +16,7 @@ from thetacomp.fitting.history_model import HistoryModel, history_procedure
 from thetacomp.fitting.prior import fit_prior
 from thetacomp.model.border import Border
 from thetacomp.model.document import AxisLaw, Component, Reference, Term
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.law import Law
 
 
@@ -128,7 +128,7 @@ def _held_out(states: AxisStates, k: int, left_out_um: Floats) -> HeldOut:
     return HeldOut(own.value_um - left_out_um[judged], held_out_leverage(own.history, campaign), campaign)
 
 
-def _sensor_columns(layout: HistoryLayout, states: AxisStates, values: Floats) -> Floats:
+def _sensor_columns(layout: InputLayout, states: AxisStates, values: Floats) -> Floats:
     return values[:, [states.sensors.index(name) for name in layout.sensors]]
 
 

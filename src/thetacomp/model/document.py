@@ -17,7 +17,7 @@ from thetacomp.files import write_file
 from thetacomp.machine import Axis, Strict, WantedLength
 from thetacomp.model.band import Band
 from thetacomp.model.border import Border
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage
 
 FORMAT: Literal[2] = 2
@@ -90,7 +90,7 @@ class Fallback(Strict):
     """
 
     lost: str
-    layout: HistoryLayout
+    layout: InputLayout
     reference: Reference
     components: dict[str, Component]
     accuracy: dict[str, Accuracy]
@@ -110,7 +110,7 @@ class AxisLaw(Strict):
     p0_mm: float | None = None
     p_min_mm: float | None = None
     p_max_mm: float | None = None
-    layout: HistoryLayout
+    layout: InputLayout
     reference: Reference
     leverage: Leverage
     border: Border

@@ -15,7 +15,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.model.border import Limit
 from thetacomp.model.document import Accuracy, AxisLaw, ModelDocument
 from thetacomp.model.fallback import degraded
-from thetacomp.model.filters import HistoryLayout, recorded_inputs
+from thetacomp.model.filters import InputLayout, recorded_inputs
 from thetacomp.model.law import Law, LawValues, joined
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.wanted_length import follows_workpiece, length_error_um
@@ -173,7 +173,7 @@ class Recording:
 
     def __init__(self, temperatures: Temperatures, duty: Duty | None, reference: Reference) -> None:
         self.temperatures, self.duty, self.reference = temperatures, duty, reference
-        self._inputs: dict[HistoryLayout, Temperatures] = {}
+        self._inputs: dict[InputLayout, Temperatures] = {}
 
     def values(self, axis: AxisLaw, t_s: Floats) -> LawValues:
         """The law of an axis at moments (n,) on the clock of the temperatures; filters start at rest on the first."""
@@ -190,7 +190,7 @@ class Recording:
             parts.append(law.at(now - law.zero, now[:, :sensors]))
         return joined(parts)
 
-    def _inputs_of(self, layout: HistoryLayout) -> Temperatures:
+    def _inputs_of(self, layout: InputLayout) -> Temperatures:
         if layout not in self._inputs:
             duty = self.duty if layout.speed_powers else None
             _check_duty_clock(self.temperatures, duty)

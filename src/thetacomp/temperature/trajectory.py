@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.temperature.history_track import HistoryTrack
 
 # below the shortest lag of 480 s, so that no swing of it is missed
@@ -37,7 +37,7 @@ class Trajectory:
 
 
 def measured_trajectory(
-    track: HistoryTrack, layout: HistoryLayout | None, campaign: int, measured_s: Floats
+    track: HistoryTrack, layout: InputLayout | None, campaign: int, measured_s: Floats
 ) -> Trajectory:
     """One campaign with states at `measured_s` (n,): those moments, and others so that no step is above 300 s."""
     t_s = _filled(np.unique(measured_s))
