@@ -153,7 +153,7 @@ def _scale(t_s: Floats, value: Floats, reach_s: float) -> float:
 
 def _beyond(value: Floats, estimates: Floats) -> Floats:
     """How far values (n,) lie outside the range of their estimates (k, n); zero inside. NaN is no estimate."""
-    low, high = np.fmin.reduce(estimates, axis=0), np.fmax.reduce(said, axis=0)
+    low, high = np.fmin.reduce(estimates, axis=0), np.fmax.reduce(estimates, axis=0)
     return np.asarray(np.fmax(np.fmax(low - value, value - high), 0.0))
 
 
