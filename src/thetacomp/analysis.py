@@ -31,7 +31,7 @@ def analyze_folder(
 ) -> AnalysisResult:
     """Run the whole analysis of a machine folder.
 
-    `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
+    `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` receives
     one line a step. With `repair` the faulty temperatures and held labels that screening finds are repaired or left
     out, else only reported. `mix` allows campaigns of different operating modes or active tables in one model. With
     `compare` other families of models are fitted and validated alongside the stored one, which takes minutes. Raises
@@ -73,7 +73,7 @@ def _compare(
     from thetacomp.validation.families.compare import compare_families  # loads scikit-learn
     from thetacomp.validation.families.families import FAMILIES
 
-    # Fitted anew, not taken from the training: the table states how long each takes.
+    # Fitted again, not taken from the training: the table states how long each takes.
     standing: dict[str, AnyProcedure] = {
         DEFAULT: calibrated_history,
         KEY_POINTS: key_point_procedure(prepared.folder.machine),

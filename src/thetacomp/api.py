@@ -234,9 +234,9 @@ def analyze(
 ) -> Analysis:
     """The whole analysis: separation, key points, model, validation on held-out data.
 
-    By default all campaigns train and each is held out in turn. `repair` mends the faulty temperatures that screening
-    finds; `mix` lets campaigns of different modes share a model; `compare` validates other families of models alongside
-    the stored one (extra `families`). `progress` hears one line a step. Raises InputError, AnalysisError.
+    By default all campaigns train and each is held out in turn. `repair` corrects the faulty temperatures that
+    screening finds; `mix` lets campaigns of different modes share a model; `compare` validates other families of models
+    alongside the stored one (extra `families`). `progress` receives one line a step. Raises InputError, AnalysisError.
     """
     if compare:
         require("families")
@@ -282,7 +282,7 @@ def export(
 
 
 def _folder(out: Path, own: Sequence[str], files: Files) -> tuple[Path, ...]:
-    """Write the files of a folder as the commands do: whole or not at all. Raises OutputError."""
+    """Write the files of a folder as the commands do: completely or not at all. Raises OutputError."""
     with output_folder(out, own=own) as fresh:
         write_files(fresh, files)
     return tuple(out / name for name in files)

@@ -40,7 +40,7 @@ class Samples:
     drift_um: Floats
 
     def take(self, rows: Ints | Bools) -> Samples:
-        """Some of the samples; `state` goes on naming the same states."""
+        """Some of the samples; `state` still names the same states."""
         return Samples(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 

@@ -107,7 +107,7 @@ class TrackerTie:
 
     `rotation` (3, 3) and `translation_mm` (3,) carry foundation coordinates into the machine frame, fitted once on
     the cold block; `frame_rms_um` and `frame_largest_um` are what it leaves there. `scale_um_per_m` is reported, never
-    applied. `motion_um` (rounds, 3) is where the tracker stood at each round, against its station's first one.
+    applied. `motion_um` (rounds, 3) is the position of the tracker at each round, against its station's first one.
     `notes` says all this in words, `doubts` what a user should look into.
     """
 

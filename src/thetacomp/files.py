@@ -32,7 +32,7 @@ _REASONS = {
 
 
 def write_file(path: Path, content: str | bytes) -> Path:
-    """Write one file whole or not at all; returns `path`. A link goes on pointing to its file, rights are kept.
+    """Write one file completely or not at all; returns `path`. A link still points to its file, rights are kept.
 
     Raises OutputError, with what was there before unchanged.
     """

@@ -90,7 +90,7 @@ def _same_file(handle: int, path: Path) -> bool:
 def fresh_folder(place: Path, own: Sequence[str]) -> Iterator[Path]:
     """An empty folder next to `place` that takes its name at the end; after an error everything is as before.
 
-    Files of the old folder that match none of the patterns `own` and are not written anew are carried over.
+    Files of the old folder that match none of the patterns `own` and are not rewritten are carried over.
     """
     fresh, old = beside_name(place, UNFINISHED), beside_name(place, _REPLACED)
     with _refused_as(place):
@@ -108,7 +108,7 @@ def fresh_folder(place: Path, own: Sequence[str]) -> Iterator[Path]:
             _flush_all(fresh)
             _exchange(fresh, place, old)
             for left in (fresh, old):
-                if left.exists():  # the folder of before: what came to it in the last moment stays too
+                if left.exists():  # the old folder: a file that was added at the last moment is kept too
                     carry_over(left, place, own)
     finally:
         # After the exchange the name of the fresh folder holds the old one.
@@ -125,7 +125,7 @@ def _refused_as(place: Path) -> Iterator[None]:
 
 
 def carry_over(old: Path, fresh: Path, own: Sequence[str], below: str = "") -> None:
-    """Give `fresh` every file of `old` that it lacks, as a second name of the same file where the disk can do that."""
+    """Give `fresh` every file of `old` that it does not have, as a hard link where the disk supports it."""
     for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
         name, target = below + entry.name, fresh / entry.name
         if entry.is_dir(follow_symlinks=False):

@@ -74,7 +74,7 @@ class WantedLength(Strict):
     `true`: lengths are true metres, so a part is right if it is at 20 °C when cut. `workpiece`: lengths follow the
     workpiece, so a part cut warm or cold is right once it is at 20 °C. The workpiece expands by
     `workpiece_expansion_per_K` from `zero_mm` on each axis (default: P0 of the axis' error) with the temperature of
-    `workpiece_sensor`, which is believed inside `workpiece_degC`.
+    `workpiece_sensor`, which is used only inside `workpiece_degC`.
     """
 
     wanted: Literal["true", "workpiece"] = "true"

@@ -2,7 +2,7 @@
 
 A `Summary` holds the row count, the means and the centred cross products of one campaign. Summaries are built in one
 pass and merged (Chan, Golub, LeVeque 1979, "Updating formulae and a pairwise algorithm for computing sample
-variances"), and give least squares, ridge and leave-one-campaign-out errors without another look at the rows.
+variances"), and give least squares, ridge and leave-one-campaign-out errors without going back to the rows.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ TABLE_ENDINGS = (".csv", ".xlsx")
 
 @contextmanager
 def output_folder(out: Path, inputs: Iterable[Path] = (), own: Sequence[str] = ()) -> Iterator[Path]:
-    """The folder to write into: it becomes `out`, whole, when the block ends without an error.
+    """The folder to write into: it becomes `out`, complete, when the block ends without an error.
 
     `own` are patterns of the files that the command writes: older ones do not survive. Every other file of `out`
     does. `inputs` are what the command reads. Raises OutputError before the block where `out` cannot be used.
@@ -146,7 +146,7 @@ def _parents(out: Path, place: Path) -> Iterator[None]:
 
 @contextmanager
 def _named(out: Path, place: Path) -> Iterator[None]:
-    """What is said of `place` is said of `out`, as the user called it."""
+    """Messages about `place` name `out` instead, as the user wrote it."""
     try:
         yield
     except OutputError as exc:

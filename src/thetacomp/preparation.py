@@ -1,7 +1,7 @@
 """The one way from a machine folder to the states that models are fitted on: choose, screen, separate, collect.
 
-Whatever trains a model or chooses sensors begins here, so that two commands that look at the same folder see the same
-readings, the same form and the same states.
+Every command that trains a model or chooses sensors begins here, so that two commands that look at the same folder see
+the same readings, the same form and the same states.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def prepare(
     """Screen, separate in the one form that all campaigns carry, and pair the states with their temperatures.
 
     `train` and `test` name campaigns; by default all train. `mix` allows campaigns of different operating modes or
-    active tables in one model. `progress` hears one line a step. Raises AnalysisError where the campaigns may not
+    active tables in one model. `progress` receives one line a step. Raises AnalysisError where the campaigns may not
     share a model, where one cannot be separated, or where nothing was measured.
     """
     train, test = _chosen(folder, train, test)

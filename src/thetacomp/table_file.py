@@ -91,7 +91,7 @@ def unit_of(column: str) -> str:
 
 
 def _no_formula(cell: Cell, place: str) -> Cell:
-    """Names are refused where they enter; this holds for whatever else may come to a table one day."""
+    """Names are refused where they enter; this protects against any other text."""
     if isinstance(cell, str) and not isinstance(cell, Number) and not _OUR_SIGNS.fullmatch(cell):
         fault = name_fault(cell)
         if fault:

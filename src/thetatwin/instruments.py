@@ -129,7 +129,8 @@ def track(
 ) -> Floats:
     """Measured error (n, 3) of points at `tool_m` (n, 3) with true error `error_um`; NaN where the beam was lost.
 
-    `sweep` (n,) says which points were taken in one go and share an angle error and what the tie leaves of drift.
+    `sweep` (n,) says which points were measured in one sequence and share an angle error and what the tie leaves of
+    drift.
     """
     station = np.array(tracker.at_mm) * 1e-3
     middle = tool_m.mean(axis=0)

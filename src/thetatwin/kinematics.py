@@ -153,7 +153,7 @@ def _axis_rows(
     moves = axis.long_guide == "lower"
     datum = patch_weights(lower.body.mesh, patches[axis.measuring.datum])
     nut = patch_weights(upper.body.mesh, patches[axis.measuring.head])
-    # The short guide stays where it is in its own body; the long one is met at every station anew.
+    # The short guide stays where it is in its own body; the long one is evaluated at every station.
     if moves:
         guides = [_windows(lower.body.mesh, lower_pads, short, along, (e * p)[along]) for p in position]
         below = [

@@ -65,7 +65,7 @@ def nearest_surface_node(mesh: BodyMesh, at_mm: Sequence[float]) -> tuple[int, f
 
 
 def sides(mesh: BodyMesh, nodes: Ints | Sequence[int]) -> list[str]:
-    """Where the faces at nodes look, such as "-X" or "-X+Y"."""
+    """Outward direction of the faces at nodes, such as "-X" or "-X+Y"."""
     looks = np.zeros((len(mesh.points_m), 6), dtype=bool)
     for column in range(6):
         axis, sign = divmod(column, 2)
@@ -187,7 +187,7 @@ def _hat_integrals(lo: Floats, hi: Floats, a: Floats, b: Floats) -> tuple[Floats
 def face_weights(mesh: BodyMesh, lo_m: Floats, hi_m: Floats, normal: str = "any") -> NodeWeights:
     """Integrate every node's shape function over the faces inside a box, exactly (the faces are rectangles).
 
-    `normal` such as "+Y" keeps only faces that look that way. Nodes appear once; their normals are those of the
+    `normal` such as "+Y" keeps only faces in that direction. Nodes appear once; their normals are those of the
     faces, so a part with several normals is queried normal by normal.
     """
     faces = mesh.faces

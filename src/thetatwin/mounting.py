@@ -73,7 +73,7 @@ def load_mounting(name_or_path: str | Path, description: Description) -> Mountin
 class Candidates:
     """Places where a thermometer can be mounted, n of them: states of the full model, names, coordinates.
 
-    `part` is the body or lump; `side` where its free faces look, such as "-X" or "-X+Y", "" on a lump;
+    `part` is the body or lump; `side` the outward direction of its free faces, such as "-X" or "-X+Y", "" on a lump;
     `at_mm` (n, 3) with all axes at zero.
     """
 
@@ -109,7 +109,7 @@ def candidates(machine: VirtualMachine, mounting: Mounting) -> Candidates:
 
 
 def _open_nodes(mesh: BodyMesh, mounting: Mounting, description: Description) -> tuple[Ints, list[str]]:
-    """Nodes of a body that are open, in order, and where their faces look."""
+    """Nodes of a body that are open, in order, and the outward direction of their faces."""
     faces = mesh.faces
     allowed = np.zeros(len(mesh.points_m), dtype=bool)
     allowed[faces.corners if mounting.inside else faces.corners[~faces.inner]] = True

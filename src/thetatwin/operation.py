@@ -1,4 +1,4 @@
-"""The machine at work: duty to heat, heat to temperatures, with what acts back (oil films, chiller).
+"""The machine in operation: duty to heat, heat to temperatures, with feedback (oil films, chiller).
 
 Steps are one minute. Powers of bearings depend on the temperature of their oil, the chiller on that of the tank:
 both are taken at the start of each step, which is short against every oil's time constant.

@@ -112,7 +112,7 @@ def exchange(field: Field, noise_K: float, chosen: Ints, spacing: Spacing | None
             for other in rest:
                 _block(free, other, spacing)
             best = int(np.argmax(np.where(free, gain, -np.inf)))
-            # A gain within rounding is none: otherwise two equal places could take turns for ever.
+            # A gain within rounding is none: otherwise two equal places could alternate for ever.
             if gain[best] > gain[own] * (1.0 + 1e-9):
                 inside[k], changed = best, True
     found = np.array(inside, dtype=np.int64)
@@ -157,7 +157,7 @@ def _compact(outputs_um: Floats) -> Floats:
 
 
 def value(field: Field, noise_K: float, sets: Ints, goal: Goal) -> Floats:
-    """What sets (m, k) of places are worth, (m,): log det in nats, or the tool's explained variance in µm²."""
+    """Objective of sets (m, k) of places, (m,): log det in nats, or the tool's explained variance in µm²."""
     rows = field.rows_K[sets]
     inner = rows @ rows.transpose(0, 2, 1) + noise_K**2 * np.eye(sets.shape[1])
     if goal == "information":

@@ -1,4 +1,4 @@
-"""The spine of `thetacomp place`: states at work -> field -> places of each strategy -> error on other states."""
+"""The spine of `thetacomp place`: states in operation -> field -> places of each strategy -> error on other states."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def place_sensors(
 ) -> Placement:
     """Choose `count` places by each strategy and judge them. The same seed gives the same result.
 
-    Raises AnalysisError where fewer places are free than sensors are asked for.
+    Raises AnalysisError where fewer places are free than sensors are requested.
     """
     if count < 1:
         raise AnalysisError(f"{count} sensors cannot be placed. Fix: ask for one or more.")

@@ -39,7 +39,7 @@ class Schedule:
     """How the machine is measured before it goes to work for months.
 
     Training has campaigns of `campaign_days` days each, together at most MOST_TRAINING_DAYS, in an unbroken row from a
-    Monday on. Each begins with `cold_rounds` rounds of sweeps at COLD_HOUR and goes on with one round every
+    Monday on. Each begins with `cold_rounds` rounds of sweeps at COLD_HOUR and continues with one round every
     `between_rounds_min`, day and night, while the machine works as always.
     """
 
@@ -121,7 +121,7 @@ def _begins_s(schedule: Schedule) -> tuple[float, ...]:
 
 
 def _with_rounds(twin: Twin, schedule: Schedule, work: Work) -> tuple[list[tuple[list[Point], int]], Work]:
-    """The points of every campaign with the number of cold ones, times from its begin, and the work they interrupt."""
+    """The points of every campaign with the number of cold ones, times from its start, and the work they interrupt."""
     axes, settings = twin.machine.description.axes, twin.conditions.work
     names = [a.name for a in axes]
     begins = _begins_s(schedule)
@@ -150,7 +150,7 @@ def _interrupted(work: Work, begin_s: float, end_s: float, names: list[str]) -> 
 
 
 def _chiller(conditions: Conditions, rng: np.random.Generator, days: int) -> Floats:
-    """Minute by minute, drawn anew for every day; with a change of cooling it is switched over once a day."""
+    """Minute by minute, drawn for every day; with a change of cooling it is switched over once a day."""
     out = []
     for _ in range(days):
         day = np.full(duty.MINUTES_A_DAY, float(rng.random() < conditions.work.chiller))

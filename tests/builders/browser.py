@@ -1,4 +1,4 @@
-"""A page as a browser shows it: what is to be seen, what it asks for, what its scripts say."""
+"""A page as a browser shows it: what is visible, what it requests, what its scripts print."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OWN_BROWSER_TRAFFIC = (
 
 @dataclass(frozen=True)
 class View:
-    """A page in a browser: its pixels (height, width, 3) in 0..1, the URLs it asked for, what its scripts said."""
+    """A page in a browser: its pixels (height, width, 3) in 0..1, the URLs it requested, what its scripts printed."""
 
     pixels: np.ndarray
     requests: tuple[str, ...]
@@ -63,7 +63,7 @@ def open_in_browser(page: Path, folder: Path, height: int = 3000) -> View:
 
 
 def _requests_of_the_page(log: Path) -> list[str]:
-    """URLs that the page itself asked for; what the browser asks for on its own has no page as its initiator."""
+    """URLs that the page itself requested; requests of the browser have no page as their initiator."""
     found = json.loads(log.read_text(encoding="utf-8"))
     start = found["constants"]["logEventTypes"]["URL_REQUEST_START_JOB"]
     starts = (event["params"] for event in found["events"] if event["type"] == start and "params" in event)

@@ -475,7 +475,7 @@ def no_key_point_analysis() -> AnalysisResult:
 
 
 def _two_inputs(law: AxisLaw, folder: MachineFolder, parts: Sequence[ComponentSeparation]) -> AxisLaw:
-    """The law of an axis fitted anew on its own input and theta_14, through zero."""
+    """The law of an axis fitted again on its own input and theta_14, through zero."""
     inputs = (*law.layout.sensors, "theta_14")
     components, shapes = {}, []
     for name, component in law.components.items():

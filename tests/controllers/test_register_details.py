@@ -319,13 +319,12 @@ def test_values_at_the_states_are_those_of_the_law_in_table_and_program() -> Non
 
 def test_values_have_the_places_that_a_thousandth_of_a_micrometre_needs() -> None:
     """K0 in mm to 1e-7, tanβ to 1e-12, a weight to 1e-9; 10 K times factors of many digits."""
-    made = mill()
     odd = term(0.0, 10.123456789), term(0.0, 20.123456789)
     parts = {
         "EXX": component("EXX", *odd, T, p=(200.0, 0.0, 1000.0)),
         "EXY": component("EXY", *odd, T, p=(0.0, -500.0, 2000.0)),
     }
-    changed = make_plan(made.model_copy(update={"components": parts}), SinumerikSettings())
+    changed = plan_registers(mill(parts), SinumerikSettings())
     last = list(csv.reader(values_csv(changed).splitlines()))[-1]
     reference = np.ceil(1.25 * 201.23456789)
     assert last[1:] == ["0.1012346", "0.000201234568", f"{201.23456789 / reference:.9f}"]

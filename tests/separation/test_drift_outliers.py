@@ -10,8 +10,8 @@ from rigid_machine import MACHINE, P0_MM, ROUND_S, STAND_MM, draw_rigid, measure
 
 from thetacomp.campaign import Campaign, CampaignSettings, Drift
 from thetacomp.model.temperatures import Temperatures
-from thetacomp.separation.drift_nodes import looks_of
-from thetacomp.separation.drift_outliers import gross_looks, gross_readings
+from thetacomp.separation.drift_nodes import drift_means
+from thetacomp.separation.drift_outliers import gross_means, gross_readings
 from thetacomp.separation.joint_form import separate_joint
 from thetacomp.separation.separate import separate_campaign
 
@@ -120,34 +120,34 @@ def test_readings_at_another_position_are_not_compared() -> None:
     assert np.flatnonzero(gross_readings(t_s, value[:, None], at_mm, 1.0)).tolist() == [70]
 
 
-def _looks(value: np.ndarray, look_s: np.ndarray, sweep_s: np.ndarray, sweep_drift: np.ndarray) -> list[int]:
-    """Gross looks where the sweeps scatter by 4 µm and their drift is taken along a line."""
-    expected = np.interp(look_s, sweep_s, sweep_drift)
-    return np.flatnonzero(gross_looks(look_s, value, sweep_s, sweep_drift, expected, 1.0, 4.0)).tolist()
+def _drift_means(value: np.ndarray, mean_s: np.ndarray, sweep_s: np.ndarray, sweep_drift: np.ndarray) -> list[int]:
+    """Gross means where the sweeps scatter by 4 µm and their drift is taken along a line."""
+    expected = np.interp(mean_s, sweep_s, sweep_drift)
+    return np.flatnonzero(gross_means(mean_s, value, sweep_s, sweep_drift, expected, 1.0, 4.0)).tolist()
 
 
 @pytest.mark.parametrize("count", [3, 4, 5, 6])
 def test_the_sweeps_tell_where_readings_are_few(count: int) -> None:
-    """One look an hour in a warm-up, beside the sweeps, with a constant of 40 µm of its own."""
+    """One mean an hour in a warm-up, beside the sweeps, with a constant of 40 µm of its own."""
     sweep_s = HOUR_S * np.arange(count + 1.0)
-    sweep_drift, look_s = _warm_up(sweep_s), sweep_s[1:] + 60.0
+    sweep_drift, mean_s = _warm_up(sweep_s), sweep_s[1:] + 60.0
     for row in range(count):
         rng = np.random.default_rng(row)
-        value = _warm_up(look_s) + 40.0 + rng.normal(0.0, 4.0, count)
-        assert _looks(value, look_s, sweep_s, sweep_drift) == []
+        value = _warm_up(mean_s) + 40.0 + rng.normal(0.0, 4.0, count)
+        assert _drift_means(value, mean_s, sweep_s, sweep_drift) == []
         value[row] += 300.0
-        assert _looks(value, look_s, sweep_s, sweep_drift) == [row]
+        assert _drift_means(value, mean_s, sweep_s, sweep_drift) == [row]
 
 
 def test_a_jump_between_sweeps_is_kept_and_so_is_a_look_within_a_long_gap() -> None:
     sweep_s = np.array([0.0, 600.0, 1200.0, 4800.0, 5400.0, 6000.0, 20400.0])
     jumped = np.where(sweep_s > 1300.0, 100.0, 0.0)
-    look_s = np.array([300.0, 900.0, 1350.0, 4700.0, 5100.0, 5700.0, 13000.0])
-    # The look at 1350 s sees the jump at once, the line between the sweeps at 1200 and 4800 s hardly yet.
-    value = np.where(look_s > 1300.0, 100.0, 0.0)
-    assert _looks(value, look_s, sweep_s, jumped) == []
+    mean_s = np.array([300.0, 900.0, 1350.0, 4700.0, 5100.0, 5700.0, 13000.0])
+    # The mean at 1350 s sees the jump at once, the line between the sweeps at 1200 and 4800 s hardly yet.
+    value = np.where(mean_s > 1300.0, 100.0, 0.0)
+    assert _drift_means(value, mean_s, sweep_s, jumped) == []
     value[-1] += 300.0
-    assert _looks(value, look_s, sweep_s, jumped) == [6]
+    assert _drift_means(value, mean_s, sweep_s, jumped) == [6]
 
 
 def _drift_errors(campaign: Campaign, rigid) -> tuple[float, tuple[str, ...]]:
@@ -258,8 +258,8 @@ def test_a_departure_within_the_stated_uncertainty_is_not_gross() -> None:
 
 def test_a_look_is_the_mean_of_the_readings_it_has() -> None:
     error = np.array([[1.0, 5.0, np.nan], [np.nan, 7.0, np.nan], [3.0, 9.0, np.nan]])
-    looks = looks_of(Drift(np.array([0.0, 10.0, 20.0]), error), error, {})
-    np.testing.assert_array_equal(looks.error, [[2.0, 7.0, np.nan]])
+    means = drift_means(Drift(np.array([0.0, 10.0, 20.0]), error), error, {})
+    np.testing.assert_array_equal(means.error, [[2.0, 7.0, np.nan]])
 
 
 def test_a_long_list_of_moments_is_cut() -> None:

@@ -12,7 +12,7 @@ from thetacomp.axis_states import axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.separation import ComponentSeparation, separate_all
 from thetacomp.separation.axis_shares import between_nodes
-from thetacomp.separation.drift_nodes import Nodes, join, looks_of
+from thetacomp.separation.drift_nodes import Nodes, drift_means, join
 from thetacomp.separation.joint_form import separate_joint, why_not_joint
 
 LETTERS = "XYZABC"
@@ -155,11 +155,11 @@ def test_states_of_the_joint_form_are_exact_at_zero_and_carry_the_drift() -> Non
 
 
 def test_a_drift_record_adds_states_where_no_sweep_looked() -> None:
-    """Straight drift of 10 µm/h: looks between two sweeps become nodes, and the record's own zero falls out."""
+    """Straight drift of 10 µm/h: means between two sweeps become nodes, and the record's own zero falls out."""
     t_s = np.array([3600.0, 14400.0])
     sweeps = Nodes(t_s, np.array([10.0, 40.0]), np.ones(2), np.array([0, 1]))
-    look_s = np.arange(0.0, 14401.0, 300.0)
-    nodes = join(sweeps, np.eye(2), 0.0, look_s, 500.0 + look_s / 360.0, np.zeros((len(look_s), 0)), 0.1)
+    mean_s = np.arange(0.0, 14401.0, 300.0)
+    nodes = join(sweeps, np.eye(2), 0.0, mean_s, 500.0 + mean_s / 360.0, np.zeros((len(mean_s), 0)), 0.1)
     assert len(nodes.t_s) > 10
     assert list(nodes.sweep[np.isin(nodes.t_s, t_s)]) == [0, 1]
     np.testing.assert_allclose(nodes.value, nodes.t_s / 360.0, atol=0.05)
@@ -170,9 +170,9 @@ def test_looks_begin_anew_where_an_axis_moves() -> None:
     drift = measure(draw_rigid(rng), rng, drift_zero_um=0.0).drift
     dense = replace(drift, t_s=np.arange(float(len(drift.t_s))))
     at_mm = {"X": np.repeat([0.0, 100.0], [10, len(drift.t_s) - 10])}
-    looks = looks_of(dense, dense.error_um, at_mm)
-    assert looks.at_mm["X"].tolist() == [0.0, 100.0]
-    np.testing.assert_allclose(looks.error[0], dense.error_um[:10].mean(axis=0))
+    means = drift_means(dense, dense.error_um, at_mm)
+    assert means.at_mm["X"].tolist() == [0.0, 100.0]
+    np.testing.assert_allclose(means.error[0], dense.error_um[:10].mean(axis=0))
 
 
 def test_interpolation_follows_a_parabola_and_is_zero_before_the_heat() -> None:

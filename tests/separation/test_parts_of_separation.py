@@ -18,8 +18,8 @@ from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_campaign
 from thetacomp.separation.axis_shares import AxisFit, axis_share_um, between_nodes
 from thetacomp.separation.component import mean_square_m2
-from thetacomp.separation.drift_nodes import Nodes, join, looks_of, scatter
-from thetacomp.separation.drift_outliers import gross_looks, gross_readings, least_sd
+from thetacomp.separation.drift_nodes import Nodes, drift_means, join, scatter
+from thetacomp.separation.drift_outliers import gross_means, gross_readings, least_sd
 from thetacomp.separation.form_choice import bent_components, separate_all
 from thetacomp.separation.geometry import (
     candidates,
@@ -528,10 +528,10 @@ def test_a_look_is_two_minutes_long_and_ends_where_an_axis_moves() -> None:
     t_s = np.array([0.0, 60.0, 120.0, 121.0, 240.0, 300.0, 301.0])
     error = np.column_stack([np.arange(7.0)] * 3)
     at_mm = {"X": np.array([5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 6.0])}
-    looks = looks_of(Drift(t_s, error), error, at_mm)
-    np.testing.assert_allclose(looks.t_s, [60.0, 180.5, 300.0, 301.0])
-    np.testing.assert_allclose(looks.error[:, 0], [1.0, 3.5, 5.0, 6.0])
-    assert looks.at_mm["X"].tolist() == [5.0, 5.0, 5.0, 6.0]
+    means = drift_means(Drift(t_s, error), error, at_mm)
+    np.testing.assert_allclose(means.t_s, [60.0, 180.5, 300.0, 301.0])
+    np.testing.assert_allclose(means.error[:, 0], [1.0, 3.5, 5.0, 6.0])
+    assert means.at_mm["X"].tolist() == [5.0, 5.0, 5.0, 6.0]
 
 
 def test_the_scatter_of_looks_is_that_of_their_steps() -> None:
@@ -544,33 +544,33 @@ def test_the_scatter_of_looks_is_that_of_their_steps() -> None:
 
 
 def test_sweeps_and_looks_are_weighed_by_their_variances() -> None:
-    """Two looks before the heat and two at the sweep: their difference has 4 · (1/2 + 1/2) µm², the sweep 9 µm².
+    """Two means before the heat and two at the sweep: their difference has 4 · (1/2 + 1/2) µm², the sweep 9 µm².
 
     The record's own zero falls out: it says 30 + 5 µm, the sweep 40.
     """
     sweeps = Nodes(np.array([1000.0]), np.array([40.0]), np.array([3.0]), np.array([7]))
-    look_s, value = np.array([100.0, 200.0, 1000.0, 1000.0]), np.array([101.0, 99.0, 134.0, 136.0])
-    nodes = join(sweeps, np.array([[9.0]]), 500.0, look_s, value, np.zeros((4, 0)), 2.0)
+    mean_s, value = np.array([100.0, 200.0, 1000.0, 1000.0]), np.array([101.0, 99.0, 134.0, 136.0])
+    nodes = join(sweeps, np.array([[9.0]]), 500.0, mean_s, value, np.zeros((4, 0)), 2.0)
     assert nodes.value.tolist() == [pytest.approx((40.0 / 9.0 + 35.0 / 4.0) / (1 / 9.0 + 1 / 4.0))]
     assert nodes.se.tolist() == [pytest.approx(1.0 / np.sqrt(1 / 9.0 + 1 / 4.0))]
     assert (nodes.sweep.tolist(), nodes.t_s.tolist()) == ([7], [1000.0])
 
 
 def test_an_error_of_a_slope_is_in_the_looks_too() -> None:
-    """A slope with 5 µm/m of error and an arm of 1 m on the looks at the sweep: their variance gains 25 µm²."""
+    """A slope with 5 µm/m of error and an arm of 1 m on the means at the sweep: their variance gains 25 µm²."""
     sweeps = Nodes(np.array([1000.0]), np.array([40.0]), np.array([3.0]), np.array([0]))
-    look_s, value = np.array([100.0, 200.0, 1000.0, 1000.0]), np.array([101.0, 99.0, 134.0, 136.0])
+    mean_s, value = np.array([100.0, 200.0, 1000.0, 1000.0]), np.array([101.0, 99.0, 134.0, 136.0])
     arms = np.array([[0.0], [0.0], [1.0], [1.0]])
-    nodes = join(sweeps, np.diag([9.0, 25.0]), 500.0, look_s, value, arms, 2.0)
+    nodes = join(sweeps, np.diag([9.0, 25.0]), 500.0, mean_s, value, arms, 2.0)
     assert nodes.value[0] == pytest.approx((40.0 / 9.0 + 35.0 / 29.0) / (1 / 9.0 + 1 / 29.0))
     assert nodes.se[0] == pytest.approx(1.0 / np.sqrt(1 / 9.0 + 1 / 29.0))
 
 
 def test_moments_far_from_sweeps_and_zero_become_nodes_of_ten_minutes() -> None:
-    """Sweeps at 1000 and 5000 s, zero at 0: of looks each 100 s those from 1700 to 4300 s are far, and from 5700 on."""
+    """Sweeps at 1000 and 5000 s, zero at 0: of means each 100 s those from 1700 to 4300 s are far, and from 5700 on."""
     sweeps = Nodes(np.array([1000.0, 5000.0]), np.array([10.0, 50.0]), np.ones(2), np.array([0, 1]))
-    look_s = np.arange(0.0, 6001.0, 100.0)
-    nodes = join(sweeps, np.eye(2), 0.0, look_s, look_s / 100.0, np.zeros((61, 0)), 0.5)
+    mean_s = np.arange(0.0, 6001.0, 100.0)
+    nodes = join(sweeps, np.eye(2), 0.0, mean_s, mean_s / 100.0, np.zeros((61, 0)), 0.5)
     added = nodes.t_s[nodes.sweep < 0]
     expected = [np.mean(np.arange(a, min(a + 600.0, 4301.0), 100.0)) for a in np.arange(1700.0, 4301.0, 600.0)]
     expected += [np.mean(np.arange(5700.0, 5900.0, 100.0)), np.mean(np.arange(5900.0, 6001.0, 100.0))]
@@ -599,10 +599,10 @@ def test_each_column_of_a_record_is_judged_alone_and_a_missing_value_is_never_gr
 
 def test_two_looks_cannot_tell_and_the_worst_of_many_goes_first() -> None:
     sweep_s, drift = np.array([0.0, 6000.0]), np.zeros(2)
-    look_s = np.array([100.0, 200.0])
-    assert not gross_looks(look_s, np.array([0.0, 900.0]), sweep_s, drift, np.zeros(2), 1.0, 1.0).any()
-    look_s = 100.0 * np.arange(1.0, 21.0)
+    mean_s = np.array([100.0, 200.0])
+    assert not gross_means(mean_s, np.array([0.0, 900.0]), sweep_s, drift, np.zeros(2), 1.0, 1.0).any()
+    mean_s = 100.0 * np.arange(1.0, 21.0)
     value = np.where(np.arange(20) % 2, 0.5, -0.5)
     value[[7, 8]] = 60.0, 200.0
     value[3] = np.nan
-    assert np.flatnonzero(gross_looks(look_s, value, sweep_s, drift, np.zeros(20), 1.0, 1.0)).tolist() == [7, 8]
+    assert np.flatnonzero(gross_means(mean_s, value, sweep_s, drift, np.zeros(20), 1.0, 1.0)).tolist() == [7, 8]

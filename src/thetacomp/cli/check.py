@@ -1,4 +1,4 @@
-"""`thetacomp check`: everything that is wrong or doubtful in a machine folder, in one go."""
+"""`thetacomp check`: everything that is wrong or doubtful in a machine folder, all at once."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def demo(
     ),
     as_json: JsonOption = False,
 ) -> None:
-    """Run the whole job on the bundled machine, then say which files to open."""
+    """Run all steps on the bundled machine, then say which files to open."""
     run(lambda: _demo(context, out, as_json), as_json)
 
 
@@ -60,7 +60,7 @@ def _demo(context: typer.Context, out: Path, as_json: bool) -> Outcome:
     model, positions, reasons = results / "model.json", out / "positions.csv", out / "keypoints.txt"
     _copy_example(folder)
     _write_positions(positions)
-    told: list[dict[str, Any]] = []
+    steps: list[dict[str, Any]] = []
 
     def say(text: str = "") -> None:
         if not as_json:
@@ -69,9 +69,9 @@ def _demo(context: typer.Context, out: Path, as_json: bool) -> Outcome:
     def do(purpose: str, *command: str | Path) -> str:
         """Say what comes, run it, and return its words without printing them."""
         arguments = [str(part) for part in command]
-        say(f"{len(told) + 1}. {purpose}\n   $ {_printed(arguments)}\n")
+        say(f"{len(steps) + 1}. {purpose}\n   $ {_printed(arguments)}\n")
         words, data = _run_command(context, arguments, as_json)
-        told.append({"command": arguments, **data})
+        steps.append({"command": arguments, **data})
         return words
 
     say(INTRODUCTION.format(folder=folder))
@@ -100,7 +100,7 @@ def _demo(context: typer.Context, out: Path, as_json: bool) -> Outcome:
     text = CLOSING.format(
         report=results / "report.html", model=model, sheet=control / "commissioning_sheet.html", folder=folder
     )
-    return Outcome(text, {"steps": told, "folder": str(out)})
+    return Outcome(text, {"steps": steps, "folder": str(out)})
 
 
 def _printed(arguments: list[str]) -> str:

@@ -37,9 +37,9 @@ def iso230(
         from thetacomp.outputs import output_folder
         from thetacomp.report.iso230 import OWN, iso230_files
 
-        lone = source.suffix.lower() in TABLES and not source.is_dir() and not campaign
+        single = source.suffix.lower() in TABLES and not source.is_dir() and not campaign
         with output_folder(out, [source], OWN) as fresh:
-            machine, done, refused = _from_table(source) if lone else _from_folder(source, campaign or [])
+            machine, done, refused = _from_table(source) if single else _from_folder(source, campaign or [])
             if not done:
                 raise AnalysisError("\n".join(["no test can be evaluated:", *_reasons(refused)]))
             files = iso230_files(machine, done)

@@ -207,7 +207,7 @@ def _axis_text(source: str, result: AxisKeyPoints) -> str:
 
 
 def _table_text(table: StrategyTable) -> list[str]:
-    """One strategy: those that stay first; reasons wrap under themselves, so a narrow console shows them whole."""
+    """One strategy: those that stay first; reasons are wrapped, so a narrow console shows them in full."""
     title = table.strategy[0].upper() + table.strategy[1:]
     width = max(len(v.sensor) for v in table.decisions)
     digits = 2 if "|r|" in table.figure_name else 1

@@ -69,7 +69,7 @@ def exact_key_points(path: Path, train: Sequence[str], mix: bool, search: Search
 
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C sets a mark instead of ending the program: the search stops after its round and keeps what it has."""
+    """Ctrl-C sets a flag instead of ending the program: the search stops after its round and keeps what it has."""
     asked: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, frame: asked.append(number))
     try:
@@ -114,13 +114,13 @@ def _text(curve: SensorCurve) -> str:
     if len(curve.points) > 1:
         lines.append(f"Enough (within 5 % of the best): {curve.best}.")
     if curve.shares is not None:
-        told = [
+        entries = [
             f"{name}{_HOLD}{100.0 * share:.0f}{_HOLD}%"
             for share, name in sorted(zip(curve.shares.share, curve.shares.sensors, strict=True), reverse=True)
             if share > 0.0
         ]
         head = f"Chosen among the best {curve.shares.count} in {curve.shares.draws} draws of the campaigns: "
-        wrapped = textwrap.wrap(head + ", ".join(told), _WIDTH, subsequent_indent="  ")
+        wrapped = textwrap.wrap(head + ", ".join(entries), _WIDTH, subsequent_indent="  ")
         lines += [line.replace(_HOLD, " ") for line in wrapped]
     lines += [textwrap.fill(f"Note: {note}", _WIDTH) for note in curve.notes]
     return "\n".join(lines)

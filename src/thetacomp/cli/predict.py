@@ -180,7 +180,7 @@ def _outcome(
     reference: str,
     further: list[str],
 ) -> Outcome:
-    """What a person wants to know of a prediction; `axes` were asked for, `further` lines are said in the middle."""
+    """What a person wants to know of a prediction; `axes` were requested, `further` lines go in the middle."""
     import numpy as np
 
     from thetacomp.model.document import components_of

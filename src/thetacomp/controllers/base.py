@@ -22,7 +22,7 @@ SettingsT = TypeVar("SettingsT", bound=Strict)
 
 @dataclass(frozen=True)
 class ExportFile:
-    """One file of an export: its name and its whole text."""
+    """One file of an export: its name and its text."""
 
     name: str
     text: str
@@ -30,7 +30,7 @@ class ExportFile:
 
 @dataclass(frozen=True)
 class Export:
-    """The files of an export, and what must be said about them: sentences for the console.
+    """The files of an export, and remarks about them: sentences for the console.
 
     `plan` holds the facts behind the files, for the sheet that a person follows.
     `absent` names files of the same target that this model does not need: an older one must not be taken for new.

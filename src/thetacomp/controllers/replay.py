@@ -129,7 +129,7 @@ def replay(t_s: Floats, registers: Sequence[Register]) -> tuple[Loss, ...]:
 
 def _loss(t_s: Floats, register: Register, cause: str, got: Floats) -> Loss:
     lost_um = np.abs(got - hold_gaps(register.wanted)) * register.um_per_unit
-    # Cycle after cycle loses the same: rounding must not choose the moment.
+    # Every cycle loses the same: rounding must not choose the moment.
     worst = int(np.argmax(lost_um >= (1.0 - SAME) * lost_um.max()))
     return Loss(
         axis=register.axis,

@@ -56,7 +56,7 @@ class ReplaySettings(Strict):
 
 
 class SinumerikSettings(Strict):
-    """`export.toml` for SINUMERIK. Every default that leaves a question open is stated in the sheet.
+    """`export.toml` for SINUMERIK. Every default that leaves a question open is listed in the sheet.
 
     `sign_temperature`, `sign_cec`: +1 writes the error with its own sign; the sign test decides.
     `axis_name`: axis of the model -> channel axis of the control (default `X` -> `X1`); `axis_number`: its number n

@@ -134,7 +134,7 @@ def sensor_names(plan: RegisterPlan) -> dict[str, str]:
 
 
 def reference_lines(plan: RegisterPlan) -> list[str]:
-    """Whose temperatures the law counts from: one line, or one for each moment where there are several."""
+    """The reference temperatures of the laws: one line, or one for each moment where there are several."""
     anew = "capture anew at each datum set, see sheet"
     if plan.settings.reference_degC is not None:
         return [f"reference: reference_degC of the export settings; {anew}"]

@@ -7,7 +7,7 @@ from thetacomp.model.document import components_of
 
 
 def remarks(plan: RegisterPlan) -> tuple[str, ...]:
-    """Everything to be said on the console: drift that does not agree, and errors that are not compensated."""
+    """All remarks for the console: drift that does not agree, and errors that are not compensated."""
     worst = worst_drift(plan)
     drift = (f"DRIFT DOES NOT AGREE: {worst}",) if worst else ()
     return (*drift, *left_to_history(plan), *not_compensated(plan))
@@ -23,8 +23,8 @@ def left_to_history(plan: RegisterPlan) -> tuple[str, ...]:
             worse.append(f"{name} {component.held_out_um[0]:.1f} instead of {better.held_out_um[0]:.1f} µm")
     if not plan.model.prediction:
         return ()
-    told = f" Held out it leaves (RMS): {', '.join(worse)}." if worse else ""
-    return (f"the control carries the law on key temperatures; heat history needs filters that run beside it.{told}",)
+    rest = f" Held out it leaves (RMS): {', '.join(worse)}." if worse else ""
+    return (f"the control carries the law on key temperatures; heat history needs filters that run beside it.{rest}",)
 
 
 def differing(plan: RegisterPlan) -> tuple[LeftOut, ...]:

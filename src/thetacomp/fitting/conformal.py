@@ -1,4 +1,4 @@
-"""Bands that hold what they say: conformal calibration over whole campaigns.
+"""Bands with a guaranteed coverage: conformal calibration over whole campaigns.
 
 Rows of one campaign are nearly copies of each other, campaigns are exchangeable at best. So the campaign is the unit:
 its rows share one vote. With m calibration campaigns, N_k rows in campaign k and scores s_ki = |residual| / scale the
@@ -8,7 +8,7 @@ quantile at level 1 - α is that of the distribution
 
 (hierarchical conformal prediction: Lee, Barber and Willett, "Distribution-free inference with hierarchical data",
 arXiv:2306.06342, section 3; it is CDF pooling of Dunn, Wasserman and Ramdas, JASA 118, 2023, with the point at
-infinity). A row of a new campaign then lies in the band with probability at least 1 - α, whatever the distribution of
+infinity). A row of a new campaign then lies in the band with probability at least 1 - α, for any distribution of
 the errors, if the campaigns are exchangeable and took no part in the fit. The quantile is finite only up to the
 level m / (m + 1): nine campaigns give 90 % at most, nineteen are needed for 95 %.
 

@@ -1,4 +1,4 @@
-"""For every sensor of a law a ready law without it, made by the same procedure, with its held-out accuracy."""
+"""For every sensor of a law a ready law without it, fitted by the same procedure, with its held-out accuracy."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def axis_fallbacks(
 ) -> tuple[AxisFallback, ...]:
     """A fallback for every input of an axis model; the whole procedure runs again, also inside every fold.
 
-    A sensor that the procedure cannot do without (AnalysisError) has none.
+    A sensor that the procedure needs (AnalysisError) has none.
     """
     out = []
     full_um = _held_out_um(states, procedure, folds)

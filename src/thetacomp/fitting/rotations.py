@@ -1,4 +1,4 @@
-"""The joint form in the stored document: its mark, the tool length that it holds for, and the thermal angles."""
+"""The joint form in the stored document: the form, the tool length that it holds for, and the thermal angles."""
 
 from __future__ import annotations
 

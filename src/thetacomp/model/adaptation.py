@@ -3,7 +3,7 @@
 A probe is a measured error `y` where the model says `f`. The correction is `offset + Σ slope_j u_j`, with features u
 that the caller chooses (the model's own prediction, the rise of a key sensor in K). Offset and slopes are the state of
 a Kalman filter whose states walk at random (Anderson and Moore, *Optimal Filtering*, 1979, ch. 3): the offset walks
-fast, so a probe sets it at once; the slopes walk slowly, and they learn from what the error did between two probes.
+fast, so a probe sets it at once; the slopes change slowly, and they learn from what the error did between two probes.
 Every step is clipped, every value is bounded, outliers are gated, and each change is a record that can be undone.
 Numpy only; time is an argument. All state is plain numbers.
 """
@@ -87,7 +87,7 @@ class Probe:
 
 @dataclass(frozen=True)
 class Change:
-    """One line of the log. `before` and `after` are whole states, so that any line can be gone back to exactly."""
+    """One line of the log. `before` and `after` are complete states, so that any line can be restored exactly."""
 
     t_s: float
     action: Action
@@ -134,7 +134,7 @@ def take_probe(state: Adaptation, probe: Probe, limits: Limits) -> tuple[Adaptat
     value, covariance = _update(before, _walked(state, probe.t_s, limits), h, innovation, limits)
     bounded = _bounded(before, value, limits)
     limited = bool(np.any(bounded != value))
-    # the covariance goes on as if nothing had been cut: what asks for the next probe must not depend on the error
+    # the covariance continues as if nothing had been clipped: when the next probe is due must not depend on the error
     after = Adaptation(probe.t_s, tuple(float(v) for v in bounded), _rows(covariance))
     reason = f"{innovation:+.1f} µm inside the gate of ±{gate_um:.1f} µm" + (", step limited" if limited else "")
     return change(after, "limited" if limited else "adapted", reason)

@@ -3,7 +3,7 @@
 `half width = quantile × √(scatter(u) × (states + growth × g(h)))` with u the distance from P0, h the leverage of the
 inputs (`Leverage.at`) and `g = h / (h + knee) × (1 + h / far)`.
 
-- A regression: the scatter of its residuals at u, `states` 1, or 2 where the reference brings a residual of its own,
+- A regression: the scatter of its residuals at u, `states` 1, or 2 where the reference has its own residual,
   and the uncertainty of the coefficients, which grows with the leverage. Knee and far of 1 make g = h: the prediction
   interval of linear regression, with Student's t as the quantile.
 - A band that is calibrated on whole campaigns: near the reference h is small and the band is `quantile × sd`. Past
@@ -31,7 +31,7 @@ class Band:
     `quantile` is None where the fit left no degree of freedom: then no band is known. `noise_sd_um` is the scatter of
     one reading that the band holds. `level` is what was asked for; of a calibrated band `guaranteed_level` is what it
     reaches in the worst case and `attainable_level` the highest level that `campaigns` calibration campaigns can
-    guarantee, m / (m + 1). `sentence` says in words what holds, and on which assumption.
+    guarantee, m / (m + 1). `sentence` says in words what is guaranteed, and on which assumption.
     """
 
     quantile: float | None

@@ -1,4 +1,4 @@
-"""Where a law may be believed: the box of its training, and one distance from range and leverage. Numpy only.
+"""Where a law is valid: the box of its training, and one distance from range and leverage. Numpy only.
 
 A law on a few key temperatures has a box: temperatures and rises, each with a margin. A law with many inputs has a
 distance, which is 1 at the border of what the training campaigns showed; outside the prediction fades towards a prior,

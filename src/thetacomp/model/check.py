@@ -40,7 +40,7 @@ def problems(model: ModelDocument) -> list[str]:
                 out.append(f"{place}: the axis {name} is not among the axes of the model")
             if room != "prediction" and law.layout.time_constants_s:
                 out.append(f"{place}: its inputs are not plain temperatures")
-            out += [f"{place}: {told}" for told in _law(law, angles=room == "rotations")]
+            out += [f"{place}: {problem}" for problem in _law(law, angles=room == "rotations")]
     return out
 
 
@@ -49,7 +49,7 @@ def _law(law: AxisLaw, *, angles: bool) -> list[str]:
     found = list(_own(law, angles=angles))
     if not found:
         for fallback in law.fallbacks:
-            found += [f"fallback for {fallback.lost}: {told}" for told in _fallback(fallback, law, angles)]
+            found += [f"fallback for {fallback.lost}: {problem}" for problem in _fallback(fallback, law, angles)]
     return found
 
 
@@ -65,7 +65,7 @@ def _own(law: AxisLaw, *, angles: bool) -> Iterator[str]:
         expected = f"D{name[1:]}" if not law.axis else f"E{name[1:2]}{law.axis}"
         if name != expected or name[1:2] != letters[component.direction]:
             yield f"{name}: the name does not fit direction {component.direction} and axis {law.axis or 'none'}"
-        yield from (f"{name}: {told}" for told in _component(component, law, inputs, sensors))
+        yield from (f"{name}: {problem}" for problem in _component(component, law, inputs, sensors))
     names = [component.direction for component in law.components.values()]
     if not names or len(set(names)) < len(names):
         yield "no component, or two of one direction"

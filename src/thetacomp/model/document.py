@@ -192,7 +192,7 @@ class ModelDocument(Strict):
         return _indented(self.model_dump(mode="json")) + "\n"
 
     def save(self, path: Path) -> None:
-        """Write the document as UTF-8 JSON, whole or not at all. Raises OutputError."""
+        """Write the document as UTF-8 JSON, completely or not at all. Raises OutputError."""
         write_file(path, self.to_json())
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 
-# Heat deforms a machine nearly in proportion: twice what training showed is still believed, though it is flagged.
+# Heat deforms a machine nearly in proportion: twice the range of the training is still used, though it is flagged.
 FADE_START = 2.0
 
 

@@ -1,7 +1,7 @@
 """Changing the law while the machine runs: the fallback for lost sensors, and a change of laws without a bump.
 
-At the change the difference of the two laws is kept as an offset, so the output goes on from where it was. The offset
-decays slowly, or stays until a probe measures the error anew. Time is an argument.
+At the change the difference of the two laws is kept as an offset, so the output continues from where it was. The offset
+decays slowly, or stays until a probe measures the error again. Time is an argument.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def start_transfer(
 
 @dataclass(frozen=True)
 class Degraded:
-    """A model for the sensors that are left, and the components that nothing is ready for.
+    """A model for the sensors that are left, and the components that have no fallback.
 
     `replaced` names the components that changed, each with its held-out accuracy where that was measured.
     """
@@ -63,7 +63,7 @@ class Degraded:
 def degraded(model: ModelDocument, lost: Collection[str]) -> Degraded:
     """The model without the lost sensors: every law that uses one gives way to a fallback that uses none.
 
-    An axis with heat history goes on with its own fallback, else with the law on key temperatures. Where several
+    An axis with heat history continues with its own fallback, else with the law on key temperatures. Where several
     fallbacks could serve an axis, the one with the smallest held-out error is taken. An axis without any is left out
     and its components named in `ended`: its compensation ends, the others go on. Angles without their sensors are
     left out.
@@ -129,5 +129,5 @@ def _squares_um2(fallback: Fallback) -> float:
 
 def _against_history(law: AxisLaw | None, name: str, accuracy: Accuracy) -> Accuracy:
     """The accuracy against what was in use: an axis that falls back from heat history loses more than a key sensor."""
-    told = [f.accuracy[name] for f in law.fallbacks if name in f.accuracy] if law else []
-    return accuracy.model_copy(update={"full_rms_um": told[0].full_rms_um}) if told else accuracy
+    known = [f.accuracy[name] for f in law.fallbacks if name in f.accuracy] if law else []
+    return accuracy.model_copy(update={"full_rms_um": known[0].full_rms_um}) if known else accuracy

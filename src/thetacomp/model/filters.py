@@ -6,7 +6,7 @@ solution is a recursion with one stored number a filter, which a PLC can run:
     a = exp(-dt / τ)
     x = a x + (1 - a) u_previous
 
-`0 < a < 1` for every dt, so the filter is stable whatever the sampling. Setting the datum anew does not touch it.
+`0 < a < 1` for every dt, so the filter is stable at any sampling rate. A new datum does not change it.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def run_filters(
     """The recursion over many samples at once: lags (n, time constants, signals) and the state after the last.
 
     `t_s` (n,) ascending, any spacing; `signal` (n, signals), NaN where missing (the last good value is held).
-    Goes on from `state`, or starts at rest on the first good values. Equals `step_filters` to rounding.
+    Continues from `state`, or starts at rest on the first good values. Equals `step_filters` to rounding.
     Raises AnalysisError for no samples or time that runs backward.
     """
     t_s = np.asarray(t_s, dtype=np.float64)
@@ -204,7 +204,7 @@ class InputLayout(Strict):
     def inputs(self, signals: Floats, lags: Floats) -> Floats:
         """All inputs (n, inputs) from signals (n, signals) and their lags (n, time constants, signals).
 
-        A filter keeps running when the datum is set anew: what counts from a datum is the difference of two rows.
+        A filter keeps running when a new datum is set: what counts from a datum is the difference of two rows.
         """
         p = len(self.sensors)
         temperature = signals[:, :p]

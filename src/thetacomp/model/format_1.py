@@ -259,8 +259,8 @@ def _check_sizes(name: str, one: _Component, training: _Training) -> None:
     size = len(one.inputs) + 1
     for label, term in one.terms.items():
         if len(term.coefficients_per_K) != len(one.inputs):
-            told = f"{label} has {len(term.coefficients_per_K)} coefficients for {len(one.inputs)} inputs"
-            raise ValueError(f"components.{name}: {told}")
+            fault = f"{label} has {len(term.coefficients_per_K)} coefficients for {len(one.inputs)} inputs"
+            raise ValueError(f"components.{name}: {fault}")
         if [len(row) for row in term.covariance] != [size] * size:
             raise ValueError(f"components.{name}: the covariance of the {label} is not {size} by {size}")
     ranges = [training.range_degC] + [training.range_rise_K] * (training.datum == "campaign")
@@ -273,7 +273,7 @@ def _static_leverage(one: _Component, sensors: Sequence[str]) -> Leverage:
     """The leverage of the regression: covariance over residual variance, the same for both terms of a real fit."""
     found = [_unscaled(term) for term in one.terms.values() if term.residual_sd > 1e-9]
     if not found:
-        # No scatter, no band: whatever the leverage is, it widens nothing.
+        # No scatter, no band: no leverage widens it.
         found = [np.zeros((len(one.inputs) + 1, len(one.inputs) + 1))]
     unscaled = max(found, key=lambda matrix: float(np.trace(matrix)))
     columns = [0, *(1 + sensors.index(sensor) for sensor in one.inputs)]

@@ -1,4 +1,4 @@
-"""The thermal law at work: inputs in, errors and their 95 % bands out. Numpy only.
+"""Evaluation of the thermal law: inputs in, errors and their 95 % bands out. Numpy only.
 
 `E = Σ_k u^k (constant_k + c_k · (x - x_ref))`, u = (p - P0) / 1000. One evaluation serves one axis, the whole volume
 and angles; inside its border the law speaks alone, outside it fades towards its prior where it has one (`fade`).
@@ -235,7 +235,7 @@ def component_laws(
     """The components of laws on plain temperatures, by name.
 
     `reference_degC` holds the temperature of every input at the moment of zero; None means the reference stored in
-    each law, with the constant. Raises KeyError where `reference_degC` lacks an input.
+    each law, with the constant. Raises KeyError where an input is missing in `reference_degC`.
     """
     out: dict[str, ComponentLaw] = {}
     for axis in laws.values():

@@ -1,4 +1,4 @@
-"""Reading `model.json`: whatever is in the file, the end is a model that can be used or one clear message."""
+"""Reading `model.json`: the result is a usable model or one clear message, for any content of the file."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def load_model(path: Path) -> ModelDocument:
         _refuse(path, f"{place}: {first['msg']}", exc.error_count())
     except ValueError as exc:
         _refuse(path, str(exc), 1)
-    told = problems(model)
-    if told:
-        _refuse(path, told[0], len(told))
+    faults = problems(model)
+    if faults:
+        _refuse(path, faults[0], len(faults))
     return model
 
 
-def _refuse(path: Path, told: str, count: int) -> NoReturn:
-    raise ModelFileError(f"{path}: {told} ({count} problem{'s' if count > 1 else ''} in all). {AGAIN}") from None
+def _refuse(path: Path, fault: str, count: int) -> NoReturn:
+    raise ModelFileError(f"{path}: {fault} ({count} problem{'s' if count > 1 else ''} in all). {AGAIN}") from None
 
 
 def _parsed(path: Path) -> Any:

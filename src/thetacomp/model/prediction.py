@@ -65,7 +65,7 @@ class Prediction:
     `error_um`, `lower_um` and `upper_um` are (n, 3) along machine X, Y, Z; NaN where the model has no such component,
     where a temperature is missing, or (bounds only) where the fit had no degree of freedom. `in_domain` is (n,);
     `missing` (n,) marks rows without a temperature; `breaches` says why rows lie outside. `replaced` names the
-    components that came from a fallback because the table lacks a sensor, with the accuracy of it.
+    components that came from a fallback because a sensor is missing in the table, with its accuracy.
     """
 
     t_s: Floats
@@ -121,7 +121,7 @@ def workpiece_degC(model: ModelDocument, temperatures: Temperatures, t_s: Floats
 
 
 def _follow_workpiece(model: ModelDocument, temperatures: Temperatures, table: _Table) -> None:
-    """Add what following the workpiece does along each axis; outside its believed temperatures the flag goes on."""
+    """Add what following the workpiece does along each axis; outside its trusted temperatures the flag is set."""
     for axis in model.axes:
         rows = table.rows(axis.name)
         if not len(rows):

@@ -85,7 +85,7 @@ def volume_error(
             across = np.abs(axis.direction) < 0.5
             arm_m[:, across] += (float(axis.direction @ TOOL) * longer_m)[:, None]
         bend = parts.bends_um_per_m2.get(axis.name, np.zeros((len(longer_m), 3)))
-        # The tangent goes on beyond the axis: u² + 2 u (arm - u).
+        # The tangent continues beyond the axis: u² + 2 u (arm - u).
         error_um = error_um + part.value * arm_m + bend * here_m * (2.0 * arm_m - here_m)
         half_um = part.half_width * np.abs(arm_m)
         if axis.name in parts.there_um:

@@ -119,7 +119,7 @@ def volume_along(
 
 
 class _Volume:
-    """The laws of drift, axes and angles at n moments; angles whose sensors the table lacks are left out."""
+    """The laws of drift, axes and angles at n moments; angles whose sensors are missing in the table are left out."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The plan as one printable page, with the same looks as the report of an analysis."""
+"""The plan as one printable page, in the same style as the report of an analysis."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from thetacomp.report.tables import counted
 
 @dataclass(frozen=True)
 class PlanAssessment:
-    """Whether the plan sees enough, in words; `good` is None where no size was asked for."""
+    """Whether the plan sees enough, in words; `good` is None where no size was required."""
 
     good: bool | None
     headline: str
@@ -98,7 +98,7 @@ def render_plan_page(
     visible_changes: Sequence[VisibleChange],
     programs: Sequence[str],
 ) -> str:
-    """The whole page as HTML text. A note on stderr says where no installed font has the letters of a name."""
+    """The page as HTML text. A note on stderr says where no installed font has the letters of a name."""
     setup = timetable.setup
     figures = [
         day_figure(timetable),

@@ -44,7 +44,7 @@ class Read:
 
 @dataclass(frozen=True)
 class Halt:
-    """Program stop: the operator measures the foundation targets and goes on. `end` is False at a round's begin."""
+    """Program stop: the operator measures the foundation targets. `end` is False at the start of a round."""
 
     round: str
     end: bool
@@ -52,7 +52,7 @@ class Halt:
 
 @dataclass(frozen=True)
 class Wait:
-    """Stand still for a time, whatever the reason."""
+    """Stand still for a time, for any reason."""
 
     seconds: float
 

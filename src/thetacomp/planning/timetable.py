@@ -232,7 +232,7 @@ def _programs(setup: Setup, blocks: Sequence[Block]) -> tuple[Program, ...]:
 
 
 def _notes(setup: Setup, blocks: Sequence[Block], round_s: float) -> list[str]:
-    """What is right by the rules and still worth a second thought."""
+    """What the rules allow but the user should reconsider."""
     notes, options = [], setup.options
     duty = [block for block in blocks if block.kind == "duty"]
     share = round_s / (duty[0].length_s + round_s)

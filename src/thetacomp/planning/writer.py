@@ -76,7 +76,7 @@ def plan_files(plan: MeasuringPlan, machine_toml: bytes) -> dict[str, str | byte
 
 
 def write_plan(plan: MeasuringPlan, machine_toml: bytes, out: Path, inputs: Sequence[Path] = ()) -> tuple[str, ...]:
-    """Write all files as the folder `out`, whole; returns their names, the page first.
+    """Write all files as the folder `out`, complete; returns their names, the page first.
 
     Raises InputError where `out` holds something already, OutputError where it cannot be written.
     """

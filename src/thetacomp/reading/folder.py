@@ -1,4 +1,4 @@
-"""A machine folder: which files it holds, and all of them read with all problems in one go."""
+"""A machine folder: which files it holds, and all of them read, with all problems reported at once."""
 
 from __future__ import annotations
 

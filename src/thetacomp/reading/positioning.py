@@ -1,4 +1,4 @@
-"""A lone table of positioning deviations: axis, target, run, approach, deviation; for ISO 230-2."""
+"""A single table of positioning deviations: axis, target, run, approach, deviation; for ISO 230-2."""
 
 from __future__ import annotations
 

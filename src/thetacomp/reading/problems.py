@@ -88,16 +88,16 @@ class ProblemList:
         kinds: dict[tuple[str, str, str], list[Problem]] = {}
         for problem in dict.fromkeys(self._found):
             kinds.setdefault((problem.severity, problem.code, problem.file), []).append(problem)
-        told: list[Problem] = []
+        kept: list[Problem] = []
         for same in kinds.values():
-            told.extend(same[:SHOWN_OF_A_KIND])
+            kept.extend(same[:SHOWN_OF_A_KIND])
             hidden = same[SHOWN_OF_A_KIND:]
             if hidden:
                 columns = [f"'{problem.column}'" for problem in hidden if problem.column is not None]
                 where = f" (columns {', '.join(columns)})" if columns else ""
-                last = told[-1]
-                told[-1] = replace(last, message=f"{last.message} {len(hidden)} more of this kind{where}.")
-        return tuple(sorted(told, key=lambda problem: problem.severity != "error"))
+                last = kept[-1]
+                kept[-1] = replace(last, message=f"{last.message} {len(hidden)} more of this kind{where}.")
+        return tuple(sorted(kept, key=lambda problem: problem.severity != "error"))
 
     def raise_errors(self) -> None:
         """Raise InputError with every error found so far, if there is one."""
@@ -154,7 +154,7 @@ def _time_column(name: str, known: Sequence[str]) -> list[str]:
 
 
 def _differ_in_number(name: str, other: str) -> bool:
-    """Whether two names are members of one numbered series, such as theta_1 and theta_2: no slip of the pen."""
+    """Whether two names are members of one numbered series, such as theta_1 and theta_2: not a typing error."""
     digits = r"\d+"
     return name != other and re.sub(digits, "", name) == re.sub(digits, "", other)
 

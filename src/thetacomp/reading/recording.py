@@ -56,7 +56,7 @@ class RecordingDescription(Strict):
 
 
 class RecordingToml(Strict):
-    """The whole of `recording.toml`."""
+    """The complete `recording.toml`."""
 
     format: Literal[1]
     recording: RecordingDescription

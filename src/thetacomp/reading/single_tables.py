@@ -19,7 +19,7 @@ from thetacomp.reading.tables import Table, convert
 from thetacomp.reading.workbook import Workbook
 
 SingleTable: TypeAlias = "Path | str | Columns"
-"""A table of its own: the path of a file, or a table in memory."""
+"""A single table: the path of a file, or a table in memory."""
 
 
 @dataclass(frozen=True)

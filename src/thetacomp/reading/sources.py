@@ -54,7 +54,7 @@ class Source:
 def read_source(path: Path, file: str, sheet: str | None = None, row_names: bool = False) -> Source:
     """The table of a .csv, .parquet or .xlsx file (`sheet`: default the first). Raises UnreadableError.
 
-    With `row_names` the first column may do without a header.
+    With `row_names` the first column needs no header.
     """
     kind = path.suffix.lower()
     if kind == ".parquet":

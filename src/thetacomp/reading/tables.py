@@ -131,7 +131,7 @@ def convert(name: str, matched: Matched, wanted: Schema, problems: ProblemList) 
 
 
 def _are_names(source: Source, column: Column, texts: Sequence[str], problems: ProblemList) -> bool:
-    """No text may be a formula where it comes to a table again; a run or target called -1 is a number."""
+    """No text that can reach an output table may be a formula; a run or target called -1 is a number."""
     wrong = [i for i, cell in enumerate(texts) if name_fault(cell) and not _NUMBER.fullmatch(cell)]
     if wrong:
         problems.error(

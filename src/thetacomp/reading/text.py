@@ -58,7 +58,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decode(data: bytes) -> str:
-    """Text of a file in UTF-8, UTF-16 with its mark, GB18030 or Western (cp1252). Raises UnreadableError."""
+    """Text of a file in UTF-8, UTF-16 with a byte order mark, GB18030 or Western (cp1252). Raises UnreadableError."""
     if not data.strip(b"\x00\x1a \t\r\n"):
         raise UnreadableError("empty-file", "the file is empty.", "export the table again, or delete the file.")
     for signature, what, fix in _SIGNATURES:

@@ -25,7 +25,7 @@ def report_files(analysis: AnalysisResult) -> dict[str, str | bytes]:
 
 
 def render_page(analysis: AnalysisResult, drawings: Drawings) -> str:
-    """The whole page as HTML text."""
+    """The page as HTML text."""
     faulty = _faulty(analysis)
     notes = [*analysis.notes, *analysis.model.notes, *drawings.remarks()]
     return page(

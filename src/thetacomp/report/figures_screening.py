@@ -95,9 +95,9 @@ def _mark_faults(axes: Axes, findings: tuple[Finding, ...], last_h: float) -> No
 
 
 def _name_faults(axes: Axes, findings: tuple[Finding, ...]) -> None:
-    told = [f for f in findings if f.kind != "spike"]
+    lasting = [f for f in findings if f.kind != "spike"]
     spikes = [f for f in findings if f.kind == "spike"]
-    for f in told[:4] + spikes[:1]:
+    for f in lasting[:4] + spikes[:1]:
         more = f" ({len(spikes)})" if f.kind == "spike" and len(spikes) > 1 else ""
         axes.annotate(
             _WORDS[f.kind] + more, (max(f.start_s, 0.0) / style.HOUR_S, 1.0), xycoords=("data", "axes fraction"),

@@ -40,7 +40,7 @@ class Grid:
 def iso230_files(machine: Machine | None, tests: Sequence[Evaluated]) -> dict[str, str | bytes]:
     """`iso230.csv`, a page for each test and its figure in `figures/`, by file name, the table first.
 
-    `machine` is None for a lone table. Letters that no installed font can draw are reported on stderr.
+    `machine` is None for a single table. Letters that no installed font can draw are reported on stderr.
     """
     cells = ([plain(value) for value in astuple(row)] for test in tests for row in figure_rows(test))
     files: dict[str, str | bytes] = {TABLE: csv_text([field.name for field in fields(FigureRow)], cells)}
@@ -152,7 +152,7 @@ def _thermal_grid(test: ThermalTest) -> Grid:
 
 
 def _conditions(test: Evaluated) -> list[str]:
-    """What the figures were measured with and under, in words."""
+    """Instrument and conditions of the figures, as sentences."""
     result, words = test.result, []
     if isinstance(result, Positioning):
         runs = result.runs
@@ -172,8 +172,8 @@ def _conditions(test: Evaluated) -> list[str]:
         if math.isfinite(start_s):
             words += _temperature_words(test.campaign, start_s, end_s)
         words += _settings_words(test.campaign)
-    lone = "not stated: a table on its own tells no uncertainty"
-    words.append(f"Instrument: {test.instrument.statement if test.campaign is not None else lone}.")
+    not_stated = "not stated: a table on its own tells no uncertainty"
+    words.append(f"Instrument: {test.instrument.statement if test.campaign is not None else not_stated}.")
     return words
 
 

@@ -65,7 +65,7 @@ def inputs_degC(
 
 
 def drawn_law(analysis: AnalysisResult) -> str:
-    """What `predict_states` gives, in words: with heat history in use it is not what predictions come from."""
+    """What `predict_states` gives, in words: with heat history in use, predictions come from another law."""
     return "the law on key points (not the heat history in use)" if analysis.model.prediction else "the stored model"
 
 

@@ -1,4 +1,4 @@
-"""One quiet look for all pictures: colours that colour-blind readers can distinguish, fonts, small layout helpers."""
+"""One plain style for all pictures: colours that colour-blind readers can distinguish, fonts, small layout helpers."""
 
 from __future__ import annotations
 

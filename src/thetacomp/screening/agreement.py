@@ -1,4 +1,4 @@
-"""When a sensor that was taken out is believed again: a day in which it agrees with the others."""
+"""When a sensor that was taken out is used again: a day in which it agrees with the others."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from thetacomp.model.temperatures import Duty
 from thetacomp.screening.held_labels import find_held_labels
 
 REPEATS_SHARE = 0.1  # an instrument that repeats more of its other readings is too coarse, or free of noise
-MOVED_K = 0.5  # a machine whose temperatures move less may truly stand still
+MOVED_K = 0.5  # a machine whose temperatures move less may really stand still
 FEWEST_POINTS = 3  # a line needs that many
 HOUR_S = 3600.0
 SHOWN = 6
@@ -28,7 +28,7 @@ class HeldLabels:
     """Held rows of one column of one table (`drift` or `sweeps`), as stretches of time.
 
     `count` values are held; `removed` counts points that went with them, because a sweep kept fewer than a line needs.
-    `kept_because` says why frozen values were believed; "" where they were left out.
+    `kept_because` says why frozen values were kept; "" where they were left out.
     """
 
     campaign: str
@@ -45,17 +45,17 @@ def without_held_labels(campaign: Campaign, apply: bool = True) -> tuple[Campaig
     drift, sweeps = campaign.drift, campaign.sweeps
     found: list[HeldLabels] = []
     if drift is not None:
-        held, told = _held_drift(campaign, drift)
-        found += told
+        held, entries = _held_drift(campaign, drift)
+        found += entries
         values = np.where(held, np.nan, _values(drift))
         drift = replace(
             drift, error_um=values[:, :3], rotation_urad=None if drift.rotation_urad is None else values[:, 3:]
         )
     if sweeps is not None:
-        held, told = _held_sweeps(campaign.name, sweeps)
+        held, entries = _held_sweeps(campaign.name, sweeps)
         values = np.where(held, np.nan, _values(sweeps))
         short = _short_sweeps(sweeps, held, values)
-        found += [replace(entry, removed=0 if entry.kept_because else int(short.sum())) for entry in told]
+        found += [replace(entry, removed=0 if entry.kept_because else int(short.sum())) for entry in entries]
         rotation = None if sweeps.rotation_urad is None else values[:, 3:]
         sweeps = _without_rows(replace(sweeps, error_um=values[:, :3], rotation_urad=rotation), short)
     left_out = any(not entry.kept_because for entry in found)
@@ -83,28 +83,28 @@ def labels_note(entry: HeldLabels, repair: bool) -> str:
 
 
 def _held_drift(campaign: Campaign, drift: Drift) -> tuple[Bools, list[HeldLabels]]:
-    """Held values (n, columns) of a drift record; without a duty table nobody knows when the machine stood."""
+    """Held values (n, columns) of a drift record; without a duty table it is not known when the machine stood."""
     values = _values(drift)
     held = np.zeros(values.shape, bool)
     if campaign.duty is None or not campaign.duty.columns:
         return held, []
     held = find_held_labels(values, drift.t_s, _running(campaign.duty, drift.t_s))
-    told = []
+    entries = []
     for j in range(values.shape[1]):
         for begin, end in runs_of(held[:, j]):
             held[begin:end, j] = _temperatures_move(campaign, drift.t_s[begin - 1], drift.t_s[end - 1])
         if held[:, j].any():
             kept = _repeats_itself(values[:, j], held[:, j])
-            told.append(_entry(campaign.name, "drift", j, drift.t_s, held[:, j], kept))
+            entries.append(_entry(campaign.name, "drift", j, drift.t_s, held[:, j], kept))
             held[:, j] &= not kept
-    return held, told
+    return held, entries
 
 
 def _held_sweeps(campaign: str, sweeps: SweepPoints) -> tuple[Bools, list[HeldLabels]]:
     """Held values (n, columns) of sweeps: an instrument that hangs repeats every coordinate while the axis moves.
 
     Every point is taken at a standstill, so the duty says nothing here. A sweep that is constant as a whole may be a
-    table without noise: it is reported and believed.
+    table without noise: it is reported and kept.
     """
     values = _values(sweeps)
     read = np.flatnonzero(np.isfinite(values).any(axis=0))
@@ -120,15 +120,15 @@ def _held_sweeps(campaign: str, sweeps: SweepPoints) -> tuple[Bools, list[HeldLa
             frozen[begin:end] = False  # a dwell at one place
         elif begin == 1 or sweeps.sweep[begin - 2] != sweeps.sweep[begin - 1]:
             whole[begin:end] = True
-    told = []
+    entries = []
     held = nothing
     for j in read:
         kept = _repeats_itself(values[:, j], frozen)
         held[:, j] = frozen & ~whole & (not kept)
         for rows, why in ((frozen & ~whole, kept), (whole, "the whole sweep is constant, as in a table without noise")):
             if rows.any():
-                told.append(_entry(campaign, "sweeps", int(j), sweeps.t_s, rows, why))
-    return held, told
+                entries.append(_entry(campaign, "sweeps", int(j), sweeps.t_s, rows, why))
+    return held, entries
 
 
 def _entry(campaign: str, table: str, column: int, t_s: Floats, rows: Bools, kept_because: str) -> HeldLabels:

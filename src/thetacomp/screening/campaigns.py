@@ -1,4 +1,4 @@
-"""Screening of a machine folder before anything is fitted: what every campaign's temperatures and labels are worth.
+"""Screening of a machine folder before anything is fitted: which temperatures and labels can be used.
 
 A campaign is judged by what the others teach, and a campaign that is only tested teaches nobody. Where a fault is
 found, the repaired temperatures go on into the analysis; a sensor that cannot be repaired is left out of its campaign.
@@ -73,7 +73,7 @@ def screened(
     campaigns of the folder stay as they are. Raises nothing: a campaign that cannot be screened is named.
     """
     names = [*train, *test]
-    # Most campaigns are healthy: only those in which a first look finds a fault are cleaned before they teach.
+    # Most campaigns are healthy: only those in which a first pass finds a fault are cleaned before they train.
     first, _ = _screen_all(folder, train, train, ())
     suspects = [name for name, result in first.items() if result.screening.findings]
     known = {name: result for name, result in first.items() if not set(suspects) - {name}}
@@ -126,7 +126,7 @@ def _screen_all(
         campaign = folder.campaign(name)
         try:
             model = fit_plain(_teachers(folder, campaign, train, suspects))
-            record, _ = campaign.recording()  # a fault that came before the campaign goes on into it
+            record, _ = campaign.recording()  # a fault that began before the campaign continues in it
             results[name] = _Result(model, record, float(campaign.temperatures.t_s[0]), screen(model, record))
         except AnalysisError as exc:
             refused.append((name, str(exc)))

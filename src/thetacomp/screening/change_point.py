@@ -33,7 +33,7 @@ def fit_change(residual: Floats, earliest: int = 2) -> ResidualChange:
     good = np.isfinite(residual)
     onsets = np.unique(np.linspace(earliest, n - 1, MOST_ONSETS).astype(int)) if n > earliest + 1 else np.array([n - 1])
     step = _best(residual, good, onsets.tolist(), 0.0)
-    if len(onsets) < n - earliest:  # a long record was thinned: look again near the best
+    if len(onsets) < n - earliest:  # a long record was thinned: search again near the best
         step = _best(residual, good, _near(step[1], onsets, earliest, n), 0.0)
     others = [(*_best(residual, good, onsets.tolist(), tau), tau) for tau in TIME_CONSTANTS]
     slow = min(others, key=lambda o: o[0])

@@ -17,12 +17,12 @@ from thetacomp.screening.model import ScreeningModel
 from thetacomp.screening.window import Healthy
 
 State = Literal["believed", "repaired", "suspect", "lost", "unscreened"]
-PAUSE_BLOCKS = 3  # a longer pause of the whole logger starts the windows anew
+PAUSE_BLOCKS = 3  # a longer pause of the whole logger restarts the windows
 
 
 @dataclass(frozen=True)
 class ScreenedSample:
-    """What one sample is worth: the value to use (p,), the state of every sensor, and what was found just now.
+    """One screened sample: the value to use (p,), the state of every sensor, and what was found just now.
 
     `lost` sensors hold NaN: use a model without them. `suspect` ones hold the last value that was believed or rebuilt.
     """

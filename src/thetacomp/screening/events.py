@@ -12,7 +12,7 @@ class Event:
     """A fault as it is followed; block numbers, shifts in K. `end` is the block of its end, None while it lasts.
 
     `decided` says that the kind is settled; `open` that the sensor's own reading is not used; `dropped` that it was no
-    fault of its own after all.
+    separate fault after all.
     """
 
     j: int

@@ -79,8 +79,8 @@ class FaultMonitor:
                 self._believe_again(event, now)
             if not event.decided and now >= event.alarm + self._confirm:
                 self._decide(event, now, held_s)
-        told = [e for e, was in zip(known, before, strict=True) if e.decided and was != (e.decided, e.end)]
-        return [e for e in [*told, *(e for e in self._fresh if e.decided)] if not e.dropped]
+        changed = [e for e, was in zip(known, before, strict=True) if e.decided and was != (e.decided, e.end)]
+        return [e for e in [*changed, *(e for e in self._fresh if e.decided)] if not e.dropped]
 
     def restart(self) -> None:
         """Forget the windows: after a pause of the logger, or a change of operation that training never showed."""
@@ -126,7 +126,7 @@ class FaultMonitor:
         self._fresh.append(event)
 
     def _drop(self, event: Event) -> None:
-        """It was no fault of its own."""
+        """It was not a separate fault."""
         event.dropped = True
         self.events.remove(event)
 
@@ -196,7 +196,7 @@ class FaultMonitor:
         if self._is_noisy(event):
             pass
         elif slow and again is not None and not found.abrupt:
-            # What looked like a step goes on moving: undo the shift and rebuild from before it.
+            # What looked like a step continues to change: undo the shift and rebuild from before it.
             event.onset, event.onset_s = again.onset, again.onset_s
             self.offset_K[j] = event.offset_before_K = again.offset_before_K
             self._drop(again)
@@ -225,7 +225,7 @@ class FaultMonitor:
         return True
 
     def _unexplained(self, z: Floats) -> None:
-        """Too many sensors at once: no fault of sensors. Trust the readings and start the windows anew."""
+        """Too many sensors at once: not a fault of sensors. Trust the readings and restart the windows."""
         first = min((e.onset for e in self.open.values() if not e.decided), default=self.history.count - 1)
         for event in [e for e in self.open.values() if not e.decided]:
             del self.open[event.j]
@@ -314,7 +314,7 @@ class FaultMonitor:
         self._restore(event.j, event.end or 0)
 
     def _returns(self, event: Event, now: int, raw: Floats, held_s: Floats) -> None:
-        """A channel that was silent speaks again: believed if it agrees with the rebuilt value, else shifted."""
+        """A channel that was silent reads again: accepted if it agrees with the rebuilt value, else shifted."""
         j = event.j
         speaks = np.isfinite(raw[j]) and (event.kind == "missing" or held_s[j] < self.model.step_s)
         event.returned = min(event.returned + 1, self._confirm) if speaks else 0

@@ -30,7 +30,7 @@ class Finding:
     and for a spike of single samples (`window_s` 0) both count in the deviation that 1 % of healthy samples exceed.
     `repair_u_K` is the standard deviation of a repaired value at the end of the fault. A sensor whose repair is `lost`
     has no usable value from `start_s` on: use a model without it. `unexplained` has no sensor: more sensors left their
-    predictions at once than faults can explain, so the machine does what the training never showed.
+    predictions at once than faults can explain, so the machine does something that the training did not contain.
     """
 
     sensor: str
@@ -83,7 +83,7 @@ def with_fault(
     `jump` adds `size_K`; `drift` adds a ramp; `detached` relaxes with `time_constant_s` towards air until `size_K` (K,
     positive) of its distance from `air_degC` (a number, or one a sample) is lost: gain 1 - size / distance at the
     start; `stuck` repeats the last value; `saturated` cuts off above the value at `start_s`; `swapped` exchanges with
-    `partner`; `missing` gives NaN. `duration_s` ends the fault. AnalysisError for a sensor that the table lacks.
+    `partner`; `missing` gives NaN. `duration_s` ends the fault. AnalysisError for an unknown sensor.
     """
     for name in (sensor, *((partner,) if kind == "swapped" else ())):
         if name not in temperatures.sensor_ids:

@@ -105,10 +105,10 @@ def lagged(x: Floats, step_s: float) -> Floats:
     state = np.where(np.isfinite(x[0]), x[0], 0.0)
     started = np.isfinite(x[0])
     for i, row in enumerate(x):
-        here = np.isfinite(row)
-        state = np.where(here, np.where(started, state + gain * (row - state), row), state)
-        started = started | here
-        out[i] = np.where(here, state, np.nan)
+        known = np.isfinite(row)
+        state = np.where(known, np.where(started, state + gain * (row - state), row), state)
+        started = started | known
+        out[i] = np.where(known, state, np.nan)
     return out
 
 

@@ -1,4 +1,4 @@
-"""Whose fault it is: one sensor that spoils the predictions of others, or two channels that were exchanged."""
+"""Whose fault it is: one sensor that corrupts the predictions of others, or two channels that were exchanged."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def exchanged_with(history: History, event: Event, offset_K: Floats, opened: Map
 
 
 def culprit(history: History, statistic: Floats, excluded: frozenset[int]) -> int:
-    """The sensor without which the remaining residuals are smallest; a fault also spoils what it predicts.
+    """The sensor without which the remaining residuals are smallest; a fault also corrupts what it predicts.
 
     `statistic` (H, p) are the residuals in standard deviations that raised the alarm. Tried are the sensors with the
     largest ones, and those that move the prediction of the worst one most.

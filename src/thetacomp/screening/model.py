@@ -19,7 +19,7 @@ from thetacomp.errors import AnalysisError
 
 RIDGE = 1e-3  # share of every input's own power; keeps near copies of one sensor from fighting each other
 POWER = 2.0  # standard deviations beyond the threshold: a fault of that size is found in about 98 of 100 cases
-LOST_SHARE = 0.5  # a reconstruction worse than half of what the sensor moves at all is worth nothing
+LOST_SHARE = 0.5  # a reconstruction worse than half of the sensor's own variation is useless
 
 ARRAYS = (
     "product_K2",
@@ -143,7 +143,7 @@ class ScreeningModel:
         return sd * self.inflation(len(self.horizon_s) - 1, excluded - {j}, j)
 
     def is_lost(self, j: int, elapsed_s: float, excluded: frozenset[int]) -> bool:
-        """Whether a reconstruction of sensor j would be worth too little to be used."""
+        """Whether a reconstruction of sensor j would be too uncertain to be used."""
         healthy = len(self.sensor_ids) - len(excluded | self.unscreened | {j})
         too_far = self.reconstruction_u_K(j, elapsed_s, excluded) > LOST_SHARE * float(self.scale_K[-1, j])
         return j in self.unscreened or healthy < 1 or too_far

@@ -17,9 +17,9 @@ def campaign_notes(campaign: str, findings: Sequence[Finding], repair: bool) -> 
     for sensor in dict.fromkeys(f.sensor for f in findings):
         mine = [f for f in findings if f.sensor == sensor]
         spikes = [f for f in mine if f.kind == "spike"]
-        told = [f for f in mine if f.kind != "spike"] if len(spikes) > 1 else mine
+        single = [f for f in mine if f.kind != "spike"] if len(spikes) > 1 else mine
         who = f"campaign {campaign}, sensor {sensor}: " if sensor else f"campaign {campaign}: "
-        notes += [who + sentence(f, repair) for f in told]
+        notes += [who + sentence(f, repair) for f in single]
         if len(spikes) > 1:
             notes.append(who + _spikes(spikes, repair))
     return notes

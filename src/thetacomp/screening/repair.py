@@ -37,16 +37,16 @@ def repaired(
     rebuilt = [e for e in events if e.kind in REBUILT]
     out_of = [(table.t_s >= _begin_s(e, model)) & (table.t_s < _end_s(e, table)) for e in rebuilt]
     readings = value.copy()
-    for event, gone in zip(rebuilt, out_of, strict=True):
-        value[gone, event.j] = np.nan
+    for event, faulty in zip(rebuilt, out_of, strict=True):
+        value[faulty, event.j] = np.nan
     for event in events:
         if event.kind == "jump":
             _refine(model, table, value, event)
     base = value.copy()
-    for event, gone in zip(rebuilt, out_of, strict=True):
-        helpers = frozenset(e.j for e, g in zip(rebuilt, out_of, strict=True) if (g & gone).any())
+    for event, faulty in zip(rebuilt, out_of, strict=True):
+        helpers = frozenset(e.j for e, g in zip(rebuilt, out_of, strict=True) if (g & faulty).any())
         known = replace(table, value_degC=base)
-        value[gone, event.j] = _rebuild(model, known, event, helpers, readings[:, event.j], gone)
+        value[faulty, event.j] = _rebuild(model, known, event, helpers, readings[:, event.j], faulty)
     _bridge(table.t_s, value, [(e.j, g) for e, g in zip(rebuilt, out_of, strict=True)])
     with np.errstate(invalid="ignore"):
         believed = np.isfinite(table.value_degC) & (value == table.value_degC)
@@ -168,7 +168,7 @@ def _rebuild(
     event: Event,
     helpers_out: frozenset[int],
     reading: Floats,
-    gone: NDArray[np.bool_],
+    faulty: NDArray[np.bool_],
 ) -> Floats:
     """Values of one sensor during its fault, anchored before it, and after it where it ended."""
     j, end_s = event.j, _end_s(event, table)
@@ -177,19 +177,21 @@ def _rebuild(
     off = x[:, j] - predicted
     before, after = off[t_s < _begin_s(event, model)][-BASE_BLOCKS:], off[t_s > end_s][:BASE_BLOCKS]
     if not np.isfinite(before).any() or model.is_lost(j, min(end_s, table.t_s[-1]) - event.onset_s, helpers_out):
-        return np.full(int(gone.sum()), np.nan)
+        return np.full(int(faulty.sum()), np.nan)
     level = np.full(len(t_s), float(np.nanmean(before)))
     if event.end_s is not None and np.isfinite(after).any():
         share = np.clip((t_s - event.onset_s) / max(end_s - event.onset_s, 1e-9), 0.0, 1.0)
         level += share * (float(np.nanmean(after)) - level)
     rebuilt = np.interp(table.t_s, t_s, predicted + level)
-    _final_kind(event, reading, rebuilt, gone, model)
-    return np.asarray(rebuilt[gone])
+    _final_kind(event, reading, rebuilt, faulty, model)
+    return np.asarray(rebuilt[faulty])
 
 
-def _final_kind(event: Event, reading: Floats, rebuilt: Floats, gone: NDArray[np.bool_], model: ScreeningModel) -> None:
+def _final_kind(
+    event: Event, reading: Floats, rebuilt: Floats, faulty: NDArray[np.bool_], model: ScreeningModel
+) -> None:
     """What the whole course of the deviation says: contact lost or drift, stuck or saturated; and its size."""
-    deviation = (reading - rebuilt)[gone]
+    deviation = (reading - rebuilt)[faulty]
     read = np.isfinite(deviation)
     if not read.any():
         return
@@ -201,7 +203,7 @@ def _final_kind(event: Event, reading: Floats, rebuilt: Floats, gone: NDArray[np
             event.kind = "detached"
         event.size_K = float(np.nanmean(course[-5:]))
     elif event.kind == "stuck":
-        held = float(reading[gone][read][-1])
+        held = float(reading[faulty][read][-1])
         level = float(np.nanmedian(deviation))
         rest = reading[np.isfinite(reading)]
         # Only a channel that came back shows that it was at its limit and not dead while the machine warmed up.
@@ -217,9 +219,9 @@ def _bridge(t_s: Floats, value: Floats, rebuilt: Sequence[tuple[int, NDArray[np.
     """Single missing samples between good ones are bridged in time; sensors that are lost stay missing."""
     for j in range(value.shape[1]):
         hole = ~np.isfinite(value[:, j])
-        for k, gone in rebuilt:
+        for k, faulty in rebuilt:
             if k == j:
-                hole &= ~gone
+                hole &= ~faulty
         good = np.isfinite(value[:, j])
         if hole.any() and good.any():
             value[hole, j] = np.interp(t_s[hole], t_s[good], value[good, j], left=np.nan, right=np.nan)

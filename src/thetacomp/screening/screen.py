@@ -29,7 +29,7 @@ class Screening:
     """The screened table of a campaign.
 
     `repaired` holds the repaired values, NaN where a sensor is lost; `believed` (n, p) is True where the reading stands
-    as it was read; `lost` names the sensors of which a model has to do without, with the start of the loss in s.
+    as it was read; `lost` names the sensors that a model cannot use, with the start of the loss in s.
     """
 
     findings: tuple[Finding, ...]
@@ -112,10 +112,10 @@ def _without_dropouts(table: Temperatures) -> Temperatures:
     read = np.isfinite(value)
     step_s = np.diff(table.t_s)
     near = step_s <= 1.5 * np.median(step_s) if len(step_s) else np.zeros(0, dtype=np.bool_)
-    lone = np.zeros(value.shape, dtype=np.bool_)
-    lone[1:-1] = ~read[1:-1] & read[:-2] & read[2:] & (near[:-1] & near[1:])[:, None]
-    for j in np.flatnonzero(lone.any(axis=0)):
-        value[lone[:, j], j] = np.interp(table.t_s[lone[:, j]], table.t_s[read[:, j]], value[read[:, j], j])
+    single = np.zeros(value.shape, dtype=np.bool_)
+    single[1:-1] = ~read[1:-1] & read[:-2] & read[2:] & (near[:-1] & near[1:])[:, None]
+    for j in np.flatnonzero(single.any(axis=0)):
+        value[single[:, j], j] = np.interp(table.t_s[single[:, j]], table.t_s[read[:, j]], value[read[:, j], j])
     return replace(table, value_degC=value)
 
 

@@ -103,7 +103,7 @@ class History:
             self.set_clean(block, j, level + float(predicted[block - base]))
 
     def predicted(self, weights: Floats, begin: int) -> Floats:
-        """Inputs times weights (2p,) for the blocks from `begin` on; sensors without weight may lack values."""
+        """Inputs times weights (2p,) for the blocks from `begin` on; sensors without weight may have no values."""
         used = weights != 0.0
         return np.asarray(self.inputs(begin, self.count)[:, used] @ weights[used])
 
@@ -146,7 +146,7 @@ class History:
     def residual(self, j: int, begin: int, excluded: frozenset[int], h: int, since: int, offset_K: float) -> Floats:
         """Reading less prediction of sensor j from block `begin` on; only its changes mean something.
 
-        Before block `since` the believed values count, which earlier repairs have made continuous; from there on the
+        Before block `since` the accepted values count, which earlier repairs have made continuous; from there on the
         raw ones less the shift.
         """
         rows = self.rows(begin, self.count)

@@ -59,7 +59,7 @@ class CurvePoint:
 
 @dataclass(frozen=True)
 class SelectionShares:
-    """How often each sensor is among the best `count` when campaigns are drawn anew: `share` (0..1) over `draws`."""
+    """How often each sensor is among the best `count` when campaigns are drawn again: `share` (0..1) over `draws`."""
 
     count: int
     sensors: tuple[str, ...]
@@ -105,7 +105,7 @@ def sensor_curve(
     progress: Callable[[int, SearchProgress], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> SensorCurve:
-    """Search the best sets of `counts` sensors (default 1 to 6, less than all) and draw the campaigns anew.
+    """Search the best sets of `counts` sensors (default 1 to 6, less than all) and draw the campaigns again.
 
     `budget_s` is for each number of sensors; `stop` is polled between rounds of the search. Raises AnalysisError where
     campaigns, states or sensors are too few.

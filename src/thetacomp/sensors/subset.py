@@ -69,7 +69,7 @@ class SubsetResult:
 
 @dataclass(frozen=True)
 class SelectionFrequency:
-    """How often each sensor is chosen when the campaigns are drawn anew: `share` (p,) in 0..1 over `draws` draws."""
+    """How often each sensor is chosen when the campaigns are drawn again: `share` (p,) in 0..1 over `draws` draws."""
 
     sensors: tuple[str, ...]
     share: Floats

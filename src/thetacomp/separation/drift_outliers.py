@@ -1,7 +1,7 @@
 """Gross readings of a drift record: far from what their neighbours say, and from the drift of the sweeps.
 
 A reading is judged by what the two readings before and the two behind it say, held or carried on along their line, and
-in the joint form also by the sweeps. All that lies between these values is believed: the machine may have warmed up
+in the joint form also by the sweeps. Everything between these values is accepted: the machine may have warmed up
 fast, turned to cooling, or jumped and stayed. A reading beyond all of them by 4.5 robust standard deviations is gross.
 """
 
@@ -15,12 +15,12 @@ from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.campaign import Campaign
 from thetacomp.separation.sweep_fit import OUTLIER_SIGMA
 
-# µm or µrad. Below it a display's last digit decides; such a reading spoils no model of a machine tool.
+# µm or µrad. Below it a display's last digit decides; such a reading does no harm to a model of a machine tool.
 LEAST_SD = 1.0
 # The scatter of fewer errors of interpolation is chance; then the readings themselves cannot decide.
 MIN_ERRORS = 6
-# With fewer looks their own scatter is not trusted alone; that of the sweeps' points is used as well.
-FEW_LOOKS = 12
+# With fewer means their own scatter is not trusted alone; that of the sweeps' points is used as well.
+FEW_MEANS = 12
 MAD_TO_SD = 1.4826
 SURCHARGE = 6.0
 # Heat that has just set in moves a machine this much faster than one step later, at readings 1.4 time constants apart.
@@ -49,29 +49,29 @@ def gross_readings(t_s: Floats, error: Floats, at_mm: Mapping[str, Floats], leas
     return gross
 
 
-def gross_looks(
-    look_s: Floats, value: Floats, sweep_s: Floats, sweep_drift: Floats, expected: Floats, least: float, sweep_sd: float
+def gross_means(
+    mean_s: Floats, value: Floats, sweep_s: Floats, sweep_drift: Floats, expected: Floats, least: float, sweep_sd: float
 ) -> Bools:
-    """Gross looks (n,) of a drift record, by the neighbouring looks and by the drift of the sweeps.
+    """Gross two-minute means (n,) of a drift record, by their neighbours and by the drift of the sweeps.
 
-    `expected` (n,) is the sweeps' drift at the looks; `sweep_s`, `sweep_drift` (m,) its nodes, in order of time and
-    with the zero. The record may have a constant of its own. `sweep_sd` is the scatter of a point of the sweeps.
+    `expected` (n,) is the sweeps' drift at the means; `sweep_s`, `sweep_drift` (m,) its nodes, in order of time and
+    with the zero. The record may have its own constant. `sweep_sd` is the scatter of a point of the sweeps.
     """
-    last = np.searchsorted(sweep_s, look_s, side="right") - 1
-    by_sweeps = np.vstack(_said(sweep_s, sweep_drift, look_s, last, last + 1)) - expected
+    last = np.searchsorted(sweep_s, mean_s, side="right") - 1
+    by_sweeps = np.vstack(_estimates(sweep_s, sweep_drift, mean_s, last, last + 1)) - expected
     left = np.flatnonzero(np.isfinite(value))
     while len(left) > 2:
         rest = (value - expected)[left]
         constant = float(np.median(rest))
         own = np.arange(len(left))
-        beside = _said(look_s[left], rest, look_s[left], own - 1, own + 1)
-        said = np.vstack([*beside, constant + by_sweeps[:, left]])
-        beyond = _beyond(rest, said)
+        by_neighbours = _estimates(mean_s[left], rest, mean_s[left], own - 1, own + 1)
+        estimates = np.vstack([*by_neighbours, constant + by_sweeps[:, left]])
+        beyond = _beyond(rest, estimates)
         worst = int(np.argmax(beyond))
         others = np.delete(rest, worst)
         count = len(others)
         sd = MAD_TO_SD * float(np.median(np.abs(others - np.median(others)))) * np.sqrt(count / (count - 1))
-        sd = max(sd, least, sweep_sd if len(left) < FEW_LOOKS else 0.0)
+        sd = max(sd, least, sweep_sd if len(left) < FEW_MEANS else 0.0)
         if beyond[worst] <= OUTLIER_SIGMA * sd:
             break
         left = np.delete(left, worst)
@@ -99,7 +99,8 @@ def _gross_in_time(t_s: Floats, value: Floats, least: float) -> Bools:
     left = np.arange(len(t_s))
     while len(left) > MIN_ERRORS + 2:
         times, rest, own = t_s[left], value[left], np.arange(len(left))
-        beyond = _beyond(rest, np.vstack([*_said(times, rest, times, own - 1, own + 1), *_carried_on(times, rest)]))
+        by_neighbours = _estimates(times, rest, times, own - 1, own + 1)
+        beyond = _beyond(rest, np.vstack([*by_neighbours, *_carried_on(times, rest)]))
         worst = int(np.argmax(beyond))
         scales: dict[int, float] = {}
         out = []
@@ -150,13 +151,13 @@ def _scale(t_s: Floats, value: Floats, reach_s: float) -> float:
     return MAD_TO_SD * float(np.median(spread)) * (1.0 + SURCHARGE / len(rows))
 
 
-def _beyond(value: Floats, said: Floats) -> Floats:
-    """How far values (n,) lie outside all that is said of them (k, n); zero inside. NaN says nothing."""
-    low, high = np.fmin.reduce(said, axis=0), np.fmax.reduce(said, axis=0)
+def _beyond(value: Floats, estimates: Floats) -> Floats:
+    """How far values (n,) lie outside the range of their estimates (k, n); zero inside. NaN is no estimate."""
+    low, high = np.fmin.reduce(estimates, axis=0), np.fmax.reduce(estimates, axis=0)
     return np.asarray(np.fmax(np.fmax(low - value, value - high), 0.0))
 
 
-def _said(known_s: Floats, known: Floats, t_s: Floats, last: Ints, first: Ints) -> tuple[Floats, Floats]:
+def _estimates(known_s: Floats, known: Floats, t_s: Floats, last: Ints, first: Ints) -> tuple[Floats, Floats]:
     """What known values say of moments (n,), from before (3, n) and from behind (3, n); NaN where there are none.
 
     `last` and `first` (n,) are the nearest known values on either side; -1 or the length where there is none.

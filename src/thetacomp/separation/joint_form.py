@@ -27,8 +27,8 @@ from thetacomp.machine import Machine
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of, turned_um
 from thetacomp.separation.axis_shares import AxisFit, axis_share_um, between_nodes, node_weights
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, Points
-from thetacomp.separation.drift_nodes import MIN_LOOKS, Looks, Nodes, join, looks_of, scatter
-from thetacomp.separation.drift_outliers import gross_looks, gross_note, gross_readings, least_sd
+from thetacomp.separation.drift_nodes import MIN_MEANS, DriftMeans, Nodes, drift_means, join, scatter
+from thetacomp.separation.drift_outliers import gross_means, gross_note, gross_readings, least_sd
 from thetacomp.separation.reference import reference_time_s, refuse_reference_in_a_sweep
 from thetacomp.separation.separate import separate_axis
 from thetacomp.separation.sweep_fit import lever_m, state_weights
@@ -58,7 +58,7 @@ class _Campaign:
     chain: tuple[ChainAxis, ...]
     letters: tuple[str, ...]
     reference_s: float
-    looks: Looks | None
+    means: DriftMeans | None
     angles: dict[str, list[AxisFit]]
     bent: Collection[str] = ()
 
@@ -118,8 +118,10 @@ def separate_joint(machine: Machine, campaign: Campaign, bent: Collection[str] =
     reference_s = reference_time_s(campaign)
     refuse_reference_in_a_sweep(campaign, reference_s)
     chain = chain_of([axis for axis in machine.axes if axis.name in points.axis])
-    looks, notes = _looks(campaign, chain, campaign.drift.error_um if campaign.drift else None, least_sd(campaign))
-    whole = _Campaign(machine, campaign, chain, CARTESIAN, reference_s, looks, {}, bent)
+    means, notes = _drift_means(
+        campaign, chain, campaign.drift.error_um if campaign.drift else None, least_sd(campaign)
+    )
+    whole = _Campaign(machine, campaign, chain, CARTESIAN, reference_s, means, {}, bent)
     angles, angle_fits = _angles(whole)
     components, _ = _solved(replace(whole, angles=angle_fits))
     return JointSeparation(tuple(components), tuple(angles), tuple(notes))
@@ -134,16 +136,18 @@ def _angles(whole: _Campaign) -> tuple[list[ComponentSeparation], dict[str, list
         np.isfinite(turned[np.array(points.axis) == axis.name]).any(axis=0).all() for axis in whole.chain
     ):
         return [], {}
-    looks = None
+    means = None
     if drift is not None and drift.rotation_urad is not None:
-        looks, _ = _looks(whole.campaign, whole.chain, drift.rotation_urad, least_sd(whole.campaign, is_angle=True))
+        means, _ = _drift_means(
+            whole.campaign, whole.chain, drift.rotation_urad, least_sd(whole.campaign, is_angle=True)
+        )
     campaign = replace(whole.campaign, sweeps=replace(points, error_um=turned))
-    return _solved(replace(whole, campaign=campaign, letters=ANGLES, looks=looks))
+    return _solved(replace(whole, campaign=campaign, letters=ANGLES, means=means))
 
 
-def _looks(
+def _drift_means(
     campaign: Campaign, chain: Sequence[ChainAxis], error: Floats | None, least: float
-) -> tuple[Looks | None, list[str]]:
+) -> tuple[DriftMeans | None, list[str]]:
     """The drift record where it says where the axes stood, and a note where it cannot be joined.
 
     Readings that their neighbours in time contradict are left out; `least` is the smallest standard deviation of one.
@@ -159,8 +163,8 @@ def _looks(
         ]
     at_mm = {a.name: drift.at_mm[a.name] for a in chain}
     gross = gross_readings(drift.t_s, error, at_mm, least)
-    looks = looks_of(drift, np.where(gross, np.nan, error), at_mm)
-    return replace(looks, gross_s=tuple(drift.t_s[column] for column in gross.T)), []
+    means = drift_means(drift, np.where(gross, np.nan, error), at_mm)
+    return replace(means, gross_s=tuple(drift.t_s[column] for column in gross.T)), []
 
 
 def _solved(whole: _Campaign) -> tuple[list[ComponentSeparation], dict[str, list[AxisFit]]]:
@@ -206,15 +210,15 @@ def _joined(
     sweeps, covariance = _drift_of_sweeps(whole, own, at_mm)
     cold_s = np.concatenate([f.data.middle_s[f.data.cold] for f in own.values()])
     cold_sweep = np.concatenate([f.separation.sweep[f.data.cold] for f in own.values()])
-    nodes, told = _with_looks(whole, letter, own, alone, sweeps, covariance)
+    nodes, drift_notes = _with_means(whole, letter, own, alone, sweeps, covariance)
     constants = np.array([f.constant_um for f in own.values()])
     drift = _drift_component(whole, letter, own, nodes, (cold_s, cold_sweep), constants, first)
-    drift = replace(drift, notes=(*drift.notes, *told))
+    drift = replace(drift, notes=(*drift.notes, *drift_notes))
     by_sweep = dict(zip(nodes.sweep.tolist(), nodes.value.tolist(), strict=True))
     return [drift, *(_without_drift(fitted, by_sweep) for fitted in own.values())]
 
 
-def _with_looks(
+def _with_means(
     whole: _Campaign,
     letter: str,
     own: dict[str, AxisFit],
@@ -223,35 +227,35 @@ def _with_looks(
     covariance: Floats,
 ) -> tuple[Nodes, tuple[str, ...]]:
     """The drift of the sweeps joined with the drift record, whose gross readings are left out and reported."""
-    looks = whole.looks
-    if looks is None or not len(sweeps.t_s):
+    means = whole.means
+    if means is None or not len(sweeps.t_s):
         return sweeps, ()
     column = whole.letters.index(letter)
-    share = whole.share(alone, ("",) * len(looks.t_s), looks.t_s, looks.at_mm)
-    share += whole.arms(looks.t_s, looks.at_mm)
-    value = (looks.error - share)[:, column]
+    share = whole.share(alone, ("",) * len(means.t_s), means.t_s, means.at_mm)
+    share += whole.arms(means.t_s, means.at_mm)
+    value = (means.error - share)[:, column]
     zero_s = max(whole.reference_s, max(float(f.separation.zero_t_s.max()) for f in own.values()))
-    gross = gross_looks(
-        looks.t_s,
+    gross = gross_means(
+        means.t_s,
         value,
         np.append(zero_s, sweeps.t_s),
         np.append(0.0, sweeps.value),
-        between_nodes(zero_s, sweeps.t_s, looks.t_s) @ sweeps.value,
+        between_nodes(zero_s, sweeps.t_s, means.t_s) @ sweeps.value,
         least_sd(whole.campaign, is_angle=letter in ANGLES),
         float(np.median([f.fit.noise_sd_um for f in own.values()])),
     )
     seen = np.isfinite(value) & ~gross
-    left_out_s = np.concatenate([looks.gross_s[column], looks.t_s[gross]])
+    left_out_s = np.concatenate([means.gross_s[column], means.t_s[gross]])
     notes = []
     if len(left_out_s):
         notes.append(gross_note(left_out_s, "the readings beside them and the sweeps"))
-    if np.count_nonzero(seen) < MIN_LOOKS:
+    if np.count_nonzero(seen) < MIN_MEANS:
         if notes:
-            notes.append(f"drift.csv is left out: {seen.sum()} good readings are left, at least {MIN_LOOKS} are needed")
+            notes.append(f"drift.csv is left out: {seen.sum()} good readings are left, at least {MIN_MEANS} are needed")
         return sweeps, tuple(notes)
-    arms = _look_arms(whole, own, looks)[seen]
+    arms = _mean_arms(whole, own, means)[seen]
     sd = scatter(value[seen]) + 1e-3
-    return join(sweeps, covariance, zero_s, looks.t_s[seen], value[seen], arms, sd), tuple(notes)
+    return join(sweeps, covariance, zero_s, means.t_s[seen], value[seen], arms, sd), tuple(notes)
 
 
 def _drift_of_sweeps(whole: _Campaign, own: dict[str, AxisFit], at_mm: dict[str, Floats]) -> tuple[Nodes, Floats]:
@@ -291,12 +295,12 @@ def _drift_of_sweeps(whole: _Campaign, own: dict[str, AxisFit], at_mm: dict[str,
     return Nodes(t_s, value, se, sweep), covariance
 
 
-def _look_arms(whole: _Campaign, own: dict[str, AxisFit], looks: Looks) -> Floats:
-    """What every slope of every axis adds to a look, µm for a µm/m, (n, slopes)."""
+def _mean_arms(whole: _Campaign, own: dict[str, AxisFit], means: DriftMeans) -> Floats:
+    """What every slope of every axis adds to a mean, µm for a µm/m, (n, slopes)."""
     parts = []
     for name, fitted in own.items():
         axis = next(axis for axis in whole.chain if axis.name == name)
-        parts.append(node_weights(fitted, looks.t_s) * axis.arm_m(looks.at_mm[name])[:, None])
+        parts.append(node_weights(fitted, means.t_s) * axis.arm_m(means.at_mm[name])[:, None])
     return np.hstack(parts)
 
 

@@ -24,7 +24,7 @@ from thetacomp.separation.reference import (
 from thetacomp.separation.sweep_fit import ComponentData, ShapeChange, SweepFit, fit_component, shape_change
 
 GRID_POINTS = 101
-# The shape test asks for strong evidence: with six components and eight states it is made often.
+# The shape test requires strong evidence: with six components and eight states it is made often.
 SHAPE_TEST_LEVEL = 0.01
 
 
@@ -364,7 +364,7 @@ def _from_drift(campaign: Campaign, reference_s: float) -> list[ComponentSeparat
             continue
         t_s, error = drift.t_s[good], drift.error_um[good, index]
         cold = drift_window(t_s, reference_s)
-        # With a common datum the zero belongs to all campaigns together and must not be set anew.
+        # With a common datum the zero belongs to all campaigns together and must not be set again.
         zero = float(error[cold].mean()) if campaign.settings.datum == "campaign" else 0.0
         nan, zeros = np.full(len(t_s), np.nan), np.zeros(len(t_s))
         results.append(

@@ -39,7 +39,7 @@ class ComponentData:
     """Points of one component of one axis, n points; sweeps counted 0 … K-1 and `cold` (K,) marking the cold ones.
 
     `weight` (n,) has the mean 1. `tie` (K, 2, 2) is the covariance of offset (µm, at the sweep's mean position) and
-    slope (µm/m) that a sweep has in common. `bent` asks for a parabola in every heated sweep, not only a line.
+    slope (µm/m) that a sweep has in common. `bent` selects a parabola in every heated sweep, not only a line.
     """
 
     position_mm: Floats
@@ -60,7 +60,7 @@ class ComponentData:
 class SweepFit:
     """Solution of the fit over all sweeps. `states` lists the heated sweeps; arrays of states have length m.
 
-    `line_covariance` (2 m, 2 m) is that of (intercepts, slopes). `bend_um_per_m2` is zero where no bend was asked for;
+    `line_covariance` (2 m, 2 m) is that of (intercepts, slopes). `bend_um_per_m2` is zero where no bend was fitted;
     `line_um` (n,) is the whole thermal part at the points, bend included.
     """
 

@@ -32,7 +32,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """One test of one campaign. `campaign` is None for a lone table."""
+    """One test of one campaign. `campaign` is None for a single table."""
 
     title: str
     result: Positioning | ThermalTest

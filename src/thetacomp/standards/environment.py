@@ -68,7 +68,7 @@ def all_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
 
 
 def ambient_words(campaign: Campaign, ambient: Sequence[str], start_s: float, end_s: float) -> str:
-    """Range of the ambient temperature during a test, or that nobody measured it."""
+    """Range of the ambient temperature during a test, or that it was not measured."""
     heat = campaign.temperatures
     inside = (heat.t_s >= start_s) & (heat.t_s <= end_s)
     ranges = []

@@ -92,7 +92,7 @@ def environmental_variation(campaign: Campaign, ambient: Sequence[str] = ()) -> 
     """Environmental temperature variation error: range of the drift while the machine rests, from the start on.
 
     `ambient` names the sensors in the air around the machine, here and in the other tests. Raises AnalysisError where
-    the campaign has no drift log, where nobody knows whether the machine rested, or where it rested for less than an
+    the campaign has no drift log, where it is not known whether the machine rested, or where it rested for less than an
     hour.
     """
     drift, running_s, running = _drift_and_motion(campaign)

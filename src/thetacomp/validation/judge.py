@@ -1,4 +1,4 @@
-"""What trained models are worth: held out with every baseline, against chance, and in a table of checks."""
+"""Quality of trained models: held out with every baseline, against chance, and in a table of checks."""
 
 from __future__ import annotations
 

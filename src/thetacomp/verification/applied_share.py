@@ -34,7 +34,7 @@ SPECIAL: tuple[tuple[float, ShareKind], ...] = (
     (1.0, "applied"),
     (2.0, "doubled"),
 )
-# The model itself is never right to better than this: a share of 0.92 is no fault of the control.
+# The model itself is never right to better than this: a share of 0.92 does not prove a fault of the control.
 MARGIN = 0.1
 NEAR = 0.25
 SAME_HEAT = 0.1
@@ -91,7 +91,7 @@ def repeated_runs(fit: Fit, rng: np.random.Generator, draws: int) -> Floats:
         else:
             rest[:, k] = fresh
     if any(points.zero_sd):
-        # Every repeated run has a cold block of its own: its error stays in all states, and no rest of one shows it.
+        # Every repeated run has its own cold block: its error stays in all states, and no rest of one shows it.
         first, own = np.unique(points.campaign, return_inverse=True)
         rest += (rng.standard_normal((draws, len(first), 2)) * points.zero_sd)[:, own]
     values = fit.explained_um + rest[:, points.state, 0] + rest[:, points.state, 1] * points.lever_m

@@ -127,14 +127,14 @@ def causes(
     if "operating mode" not in failed:
         out += _share_causes(shares, machine)
     if not out:
-        told = "; ".join(f"{check.name}: {check.found}" for check in checked if not check.passed)
+        failures = "; ".join(f"{check.name}: {check.found}" for check in checked if not check.passed)
         text = (
             "no wrong sign or size of the correction can be told, so the model does not follow this run well"
             if shares
             else "without an error that the temperatures explain no cause can be told"
         )
         fix = "look at the figures by position and time; train with this kind of duty as well, and verify again."
-        out.append(Cause("model", (), f"{text} ({told})", fix))
+        out.append(Cause("model", (), f"{text} ({failures})", fix))
     return tuple(out)
 
 

@@ -112,7 +112,7 @@ def _less_cold(value: Floats, cold: int) -> Floats:
 
 
 def _standing_mm(model: ModelDocument, campaign: Campaign, moving: str, times: Floats) -> dict[str, Floats]:
-    """Where the other axes of the model stood while an axis moved, each (n,); at P0 where nobody wrote it down."""
+    """Where the other axes of the model stood while an axis moved, each (n,); at P0 where it was not recorded."""
     p0_mm = {name: law.p0_mm for name, law in model.in_use.items() if law.p0_mm is not None}
     out = {}
     points = campaign.sweeps

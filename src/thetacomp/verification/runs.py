@@ -75,9 +75,9 @@ def chosen(folder: MachineFolder, off: Sequence[str], on: Sequence[str]) -> tupl
             ("active tables", {c.name: ", ".join(sorted(c.settings.active_tables)) for c in campaigns}),
         ):
             if len(set(values.values())) > 1:
-                told = ", ".join(f"{name}: '{value}'" for name, value in values.items())
+                listed = ", ".join(f"{name}: '{value}'" for name, value in values.items())
                 raise AnalysisError(
-                    f"the campaigns named with --{wanted} have different {label} ({told}); they are no single run."
+                    f"the campaigns named with --{wanted} have different {label} ({listed}); they are no single run."
                     " Fix: name campaigns of one kind, or correct campaign.toml."
                 )
     return runs

@@ -136,12 +136,12 @@ def _pairs(
             "the two runs share no error component. Fix: measure the same axes with compensation off and on."
         )
     for states in axis_states(folder, [s for s in separations if s.component in common], [*off, *on]):
-        patterns, told = (
+        patterns, reasons = (
             expected_from_model(model, folder, states, separations)
             if model is not None
             else expected_from_fit(folder, states, off)
         )
-        notes += told
+        notes += reasons
         for k, component in enumerate(states.components):
             found = run_points(states, k, off, patterns[k]), run_points(states, k, on, patterns[k])
             if found[0] is None or found[1] is None:

@@ -36,7 +36,7 @@ WEEK_DAYS = 7
 
 @style.styled
 def month_by_month(rows: Sequence[MonthRow]) -> style.NamedFigure:
-    """95th percentile of the error of every column, and the reduction that the limits ask for."""
+    """95th percentile of the error of every column, and the reduction that the limits require."""
     figure = style.new_figure(6.2)
     (above,), (below,) = style.grid_of_axes(figure, 2, 1)
     columns = list(dict.fromkeys(row.column for row in rows))

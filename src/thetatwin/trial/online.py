@@ -1,4 +1,4 @@
-"""A stored model at work on one machine: readings screened sample by sample, lost sensors met by the ready fallback."""
+"""A stored model in use on one machine: readings screened sample by sample, lost sensors replaced by fallbacks."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def online_error_um(
 ) -> Floats:
     """What the machine takes for its error at n moments and positions of all axes, (n, 3) in µm.
 
-    Zero where the model has no such component. When a sensor is lost the fallback goes on from where the output was;
+    Zero where the model has no such component. When a sensor is lost the fallback continues from the last output;
     the difference decays as `model.fallback` says. Raises AnalysisError as `predict_volume` does.
     """
     begins = [(-np.inf, frozenset[str]()), *live.lost]

@@ -2,7 +2,7 @@
 
 The station stands on the foundation all year. What its uncertainty keeps all year is in the datum as well and
 cancels; noise from point to point, the angle of the round, what the tie to the foundation leaves, gross errors and
-lost beams are drawn anew every day.
+lost beams are drawn for every day.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def run_trial(
     t_s, true_um = _truth(twin, year, places)
     ready = Ready(prepared, trained.model)
     frozen, band, inside = _run(ready.without, year, readings, places, t_s)
-    # The paper's method has no model without its sensor: it goes on with the rebuilt value, as long as there is one.
+    # The paper's method has no model without its sensor: it continues with the rebuilt value, as long as there is one.
     paper, _, _ = _run(lambda lost: trained.paper_model, year, readings, places, t_s)
     timed = _by_the_clock(prepared, year, places, t_s)
     learnt, log = adapt(twin, course, places, t_s, true_um, frozen, band)
@@ -208,8 +208,8 @@ def _run(
 ) -> tuple[Floats, Floats, Floats]:
     """Prediction and half width of its band (n, places, 3), flag of validity (n, places), month by month.
 
-    `model` names the model that serves where some sensors are lost. Where it changes, the output goes on from where it
-    was: the difference of the two models decays as `fallback.start_transfer` does it.
+    `model` names the model that serves where some sensors are lost. Where it changes, the output continues from where
+    it was: the difference of the two models decays as `fallback.start_transfer` does it.
     """
     out = _Output(
         np.zeros((len(t_s), len(places), 3)),
@@ -262,7 +262,7 @@ def _predict(
     rows: Ints,
     out: _Output,
 ) -> None:
-    """Fill in what a model says of the moments `rows`, without the sensors that it can do without."""
+    """Fill in what a model says of the moments `rows`, without the sensors that it does not need."""
     known = set(model.in_use)
     table = month.temperatures.without(lost - used_sensors(model)).bridged()
     there = {

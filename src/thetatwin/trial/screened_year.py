@@ -70,7 +70,7 @@ def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Seq
     """Follow the readings of all months in one unbroken stream; `begins_s` says when each month begins.
 
     A rebuilt value serves for as long as the screening rebuilds it. A sensor that cannot be rebuilt well enough is lost
-    from that moment on, until it is believed again.
+    from that moment on, until it is used again.
     """
     detector = Detector(model)
     t_s, value = _stream(months, begins_s)
@@ -80,7 +80,7 @@ def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Seq
         used[i] = sample.value_degC
         out[i] = [state == "lost" for state in sample.state]
     end_s = float(t_s[-1])
-    told = [
+    lasting = [
         f
         for f in detector.findings()
         if f.kind not in PASSING or (end_s if f.end_s is None else f.end_s) - f.start_s >= SHORTEST_S
@@ -88,7 +88,7 @@ def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Seq
     cut = [(begin_s - LEAD_DAYS * DAY_S, float(month.t_s[-1])) for begin_s, month in zip(begins_s, months, strict=True)]
     return ScreenedYear(
         tuple(_month(model.sensor_ids, t_s, used, out, *span) for span in cut),
-        tuple(_left_out(f, model, t_s, out) for f in told),
+        tuple(_left_out(f, model, t_s, out) for f in lasting),
     )
 
 

@@ -98,7 +98,7 @@ def _standing_rows(
     """The stored model, its law on key points and the clock: their held-out figures stand in the validation."""
     axis = task.states.axis
     stored = history.get(axis)
-    told = {
+    purposes = {
         DEFAULT: (STORED, "rises, lags, speed" if stored and stored.layout.speed_powers else "rises and lags"),
         KEY_POINTS: (STORED, "rises of key points"),
         CLOCK: (BASELINE, "elapsed time"),
@@ -106,7 +106,7 @@ def _standing_rows(
     components = {*task.states.components, *(("column_X", "column_Z") if task.cartesian == "Y" else ())}
     procedures = with_drift(task.states, everything, {**standing, CLOCK: clock})[1]
     out = []
-    for name, (use, inputs) in told.items():
+    for name, (use, inputs) in purposes.items():
         # Without heat history the default is the law on key points: it stands once.
         source = DEFAULT if name == KEY_POINTS and stored is None else name
         if (name == DEFAULT and stored is None) or name not in procedures:

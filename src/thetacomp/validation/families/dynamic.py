@@ -1,4 +1,4 @@
-"""ARX and the grey model GM(1,n): what comes next depends on what they said before, never on what was measured."""
+"""ARX and the grey model GM(1,n): the next value depends on earlier predictions, never on measured errors."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def fit_arx(courses: list[Course], target: int, na: int, nb: int, strength: floa
 
 
 def _stable_arx(courses: list[Course], target: int, setting: tuple[int, int, float]) -> Arx:
-    """The model of one target; where it is not stable, one that says NaN, so that this setting is never chosen."""
+    """The model of one target; where it is not stable, one that returns NaN, so that this setting is never chosen."""
     try:
         return fit_arx(courses, target, *setting)
     except AnalysisError:

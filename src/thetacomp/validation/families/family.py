@@ -1,4 +1,4 @@
-"""What a family is: a way to fit a table of rows under each of its settings, and what it may look at."""
+"""What a family is: a way to fit a table of rows under each of its settings, and which inputs it may use."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def _lasso(table: Table, settings: Sequence[float]) -> list[Forecast | None]:
         if not largest > 0.0:
             continue
         with warnings.catch_warnings():
-            # The path is compared by its held-out error, whatever the last digit of a coefficient is.
+            # The path is compared by its held-out error; the last digit of a coefficient does not matter.
             warnings.simplefilter("ignore", ConvergenceWarning)
             _, path, _ = lasso_path(
                 x, y[:, target], alphas=largest * np.array(settings), precompute=gram, Xy=mixed[:, target],
@@ -51,7 +51,7 @@ def group_lasso_path(
     `gram` G = X'X/n (k, k), `mixed` c = X'y/n (k, m), `group` (k,) numbers the groups from 0. Penalties are shares of
     the smallest one that leaves no group. Accelerated proximal gradient (Beck, Teboulle 2009, "A fast iterative
     shrinkage-thresholding algorithm") on the penalty of Yuan, Lin 2006, "Model selection and estimation in regression
-    with grouped variables"; the momentum starts anew where it points uphill.
+    with grouped variables"; the momentum restarts where it points uphill.
     """
     member = np.equal.outer(np.arange(int(group.max()) + 1), group).astype(float)
     weight = np.sqrt(member.sum(axis=1))[:, None]
