@@ -179,6 +179,11 @@ def test_numbers_of_axes_count_from_one_unless_set() -> None:
             plan(axis_number=twice)
     with pytest.raises(Exception, match="axis_name: Q stands for two axes"):
         plan(axis_name={"X": "Q", "Z": "Q"})
+    axes = {"X": "+X", "Y": "+Y", "Z": "+Z", "W": "+Z"}
+    four = document(axes, {"EXX": component("EXX", term(0.0, 1.0), term(0.0, 1.0), T)}, {"t": (0.0, 5.0)})
+    with pytest.raises(InputError, match="axis_name: B, Q stands for two axes"):
+        make_plan(four, SinumerikSettings(axis_name={"X": "Q", "Y": "B", "Z": "Q", "W": "B"}))
+    assert ReplaySettings().filter_cycle_s == 0.004  # as docs/sinumerik.md states it
 
 
 # --- sheet ------------------------------------------------------------------------------------------------------------
@@ -319,13 +324,12 @@ def test_values_at_the_states_are_those_of_the_law_in_table_and_program() -> Non
 
 def test_values_have_the_places_that_a_thousandth_of_a_micrometre_needs() -> None:
     """K0 in mm to 1e-7, tanβ to 1e-12, a weight to 1e-9; 10 K times factors of many digits."""
-    made = mill()
     odd = term(0.0, 10.123456789), term(0.0, 20.123456789)
     parts = {
         "EXX": component("EXX", *odd, T, p=(200.0, 0.0, 1000.0)),
         "EXY": component("EXY", *odd, T, p=(0.0, -500.0, 2000.0)),
     }
-    changed = make_plan(made.model_copy(update={"components": parts}), SinumerikSettings())
+    changed = make_plan(document({"X": "+X", "Y": "+Y"}, parts, {"t": (-2.0, 10.0)}), SinumerikSettings())
     last = list(csv.reader(values_csv(changed).splitlines()))[-1]
     reference = np.ceil(1.25 * 201.23456789)
     assert last[1:] == ["0.1012346", "0.000201234568", f"{201.23456789 / reference:.9f}"]
