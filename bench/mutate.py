@@ -60,7 +60,10 @@ ROOMS = {
     "verification": Room(("verification",), ("verification",), "test_verify"),
     "controllers": Room(("controllers",), ("controllers",), "machine_folder"),
     "standards": Room(("standards",), ("standards",)),
-    "labels": Room(("screening/labels.py", "screening/held_labels.py"), ("screening/test_screening_labels.py",)),
+    "labels": Room(
+        ("screening/campaign_labels.py", "screening/held_labels.py"),
+        ("screening/test_screening_labels.py",),
+    ),
     "tracker": Room(("tracker",), ("tracker",)),
     "model": Room(("model",), ("model", "fitting/test_validity.py", "fitting/test_models.py")),
     "fitting": Room(("fitting",), ("fitting",)),

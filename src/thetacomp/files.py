@@ -1,4 +1,4 @@
-"""Files that a user keeps: written beside, flushed to the disk and renamed, so that nobody ever sees half of one."""
+"""Files that a user keeps: written to a temporary name, flushed to disk and renamed, so that none is ever partial."""
 
 from __future__ import annotations
 

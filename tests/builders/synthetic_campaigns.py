@@ -42,7 +42,7 @@ SUMMER = Season(mean_degC=28.0, scatter_K=1.5, swing_K=(3.0, 6.0), sun_K_per_h=6
 class Recording:
     """Campaigns one after another: n samples. `t_s` counts from the start of each campaign, whose number is `campaign`.
 
-    `temperature_degC` (n, 8) as the sensors tell it, `displacement_um` (n,) since the campaign's start as measured.
+    `temperature_degC` (n, 8) as the sensors read it, `displacement_um` (n,) since the campaign's start as measured.
     """
 
     t_s: Floats

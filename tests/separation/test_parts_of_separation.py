@@ -16,10 +16,11 @@ from thetacomp.cold_block import cold_block_length
 from thetacomp.errors import AnalysisError
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_campaign
+from thetacomp.separation.axis_shares import AxisFit, axis_share_um, between_nodes
 from thetacomp.separation.component import mean_square_m2
 from thetacomp.separation.drift_nodes import Nodes, join, looks_of, scatter
 from thetacomp.separation.drift_outliers import gross_looks, gross_readings, least_sd
-from thetacomp.separation.forms import bent_components, separate_all
+from thetacomp.separation.form_choice import bent_components, separate_all
 from thetacomp.separation.geometry import (
     candidates,
     choose_curve,
@@ -29,9 +30,8 @@ from thetacomp.separation.geometry import (
     polynomial,
     smoothing_spline,
 )
-from thetacomp.separation.joint import ComponentData, find_outliers, fit_component, shape_change, state_weights
 from thetacomp.separation.reference import cold_block_change_K, drift_window, reference_time_s
-from thetacomp.separation.shares import AxisFit, axis_share_um, between_nodes
+from thetacomp.separation.sweep_fit import ComponentData, find_outliers, fit_component, shape_change, state_weights
 
 
 def heat(*rows: tuple[float, float]) -> Temperatures:

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-
 from thetatwin.trial.monthly import acceptance, monthly
-from thetatwin.trial.page import trial_files
 from thetatwin.trial.readings import ScreenedYear
+
+from thetatwin.trial.page import trial_files
 from thetatwin.trial.run import Place, Trial
 from thetatwin.year import Schedule
 

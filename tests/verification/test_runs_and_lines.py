@@ -14,8 +14,8 @@ from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.model.temperatures import Temperatures
-from thetacomp.verification.lines import END_POINTS, LEAST_SQUARES, squareness, straightness
 from thetacomp.verification.runs import chosen, facts, run_points, zero_scatter
+from thetacomp.verification.straightness import END_POINTS, LEAST_SQUARES, squareness, straightness
 
 AXES = (
     Axis(name="X", direction="+X", travel_mm=(0, 1000)),

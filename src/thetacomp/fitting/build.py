@@ -9,6 +9,7 @@ import numpy as np
 
 from thetacomp import __version__
 from thetacomp.arrays import CARTESIAN
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.fallbacks import AxisFallback
 from thetacomp.fitting.key_point_law import COVERAGE, AxisModel
@@ -19,7 +20,6 @@ from thetacomp.model.document import AxisLaw, Component, Fallback, ModelDocument
 from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage, regression_leverage
 from thetacomp.model.student import t_quantile
-from thetacomp.states import AxisStates
 
 
 def build_document(

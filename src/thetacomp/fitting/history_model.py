@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates, Samples, curve_um
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
 from thetacomp.model.filters import InputLayout
-from thetacomp.states import AxisStates, Samples, curve_um
 
 MIN_CAMPAIGNS = 2
 

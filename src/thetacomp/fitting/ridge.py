@@ -26,7 +26,7 @@ from thetacomp.fitting.estimator import Regressor
 from thetacomp.model.filters import InputLayout
 from thetacomp.moments import summarise
 
-# strengths relative to inputs of unit variance, half a decade apart
+# strengths relative to inputs of unit variance, half a decade between neighbours
 STRENGTHS: tuple[float, ...] = tuple(10.0 ** (k / 2) for k in range(-6, 7))
 _WEIGHT_POWER = 2.0
 

@@ -31,7 +31,7 @@ SPEED = "spindle_rpm"
 
 @dataclass(frozen=True)
 class FilterState:
-    """What the filters remember: enough to go on after a pause, apart from any datum.
+    """What the filters remember: enough to continue after a pause, independent of any datum.
 
     `signal` (signals,) is the last good input, held until the next one; `lag` (time constants, signals) the filters'
     outputs at `t_s`; NaN for a signal that never had a good value.

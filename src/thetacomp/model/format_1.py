@@ -384,7 +384,7 @@ def _history_component(axis: str, name: str, old: _HistoryComponent) -> now.Comp
     if any((model is None) != (prior is None) for model, prior in pairs) or (pairs[1][0] is None and pairs[2][0]):
         raise ValueError(f"history.{axis or 'drift'}: {name}: a slope or bend without its prior, or a bend alone")
     band, scale = old.band, old.band.scale
-    # The smallest displacement there is stands for a scatter of none, so that the growth keeps its measure.
+    # A scatter of zero is replaced by the smallest displacement possible, so that the growth keeps its scale.
     sd_um = max(scale.base_um, 1e-6)
     return now.Component(
         direction=old.direction,

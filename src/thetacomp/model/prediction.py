@@ -64,7 +64,7 @@ class Prediction:
 
     `error_um`, `lower_um` and `upper_um` are (n, 3) along machine X, Y, Z; NaN where the model has no such component,
     where a temperature is missing, or (bounds only) where the fit had no degree of freedom. `in_domain` is (n,);
-    `missing` (n,) marks rows without a temperature; `breaches` tells why rows lie outside. `replaced` names the
+    `missing` (n,) marks rows without a temperature; `breaches` says why rows lie outside. `replaced` names the
     components that came from a fallback because the table lacks a sensor, with the accuracy of it.
     """
 
@@ -249,7 +249,7 @@ class _Table:
 
 
 def write_prediction(prediction: Prediction, path: Path) -> None:
-    """Write the prediction as CSV or .xlsx, by the ending of `path`; an empty cell is a value that cannot be told."""
+    """Write the prediction as CSV or .xlsx, by the ending of `path`; an empty cell is a value that is not known."""
     header = ["t_s", "axis", "position_mm", *(f"d{d}_um" for d in CARTESIAN)]
     header += [f"d{d}_{side}_um" for d in CARTESIAN for side in ("lo", "hi")]
     rows: Iterator[list[Cell]] = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from thetacomp.errors import InputError, Problem
-from thetacomp.names import name_fault
+from thetacomp.safe_names import name_fault
 
 LEAST_POINTS, MOST_POINTS = 5, 999
 COMMAND = "thetacomp plan"
@@ -118,7 +118,7 @@ def pairs(option: str, texts: Sequence[str], example: str) -> dict[str, str]:
 
 
 def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
-    """Finite numbers parted by commas. Raises InputError where the text is something else."""
+    """Finite numbers separated by commas. Raises InputError where the text is something else."""
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:

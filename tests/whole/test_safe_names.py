@@ -8,9 +8,9 @@ import pytest
 from machine_folders import valid_files, write_files
 
 from thetacomp.errors import InputError
-from thetacomp.names import name_fault
 from thetacomp.reading import read_folder, read_positioning, read_temperatures
 from thetacomp.reading.correlations import read_correlations
+from thetacomp.safe_names import name_fault
 
 FORMULAS = ("=1+1", "+SUM(1)", "-2+3", "@A1", "＝1", "＋1", "－1", "＠1")
 CONTROLS = ("a\x00b", "a\x1bb", "a\x7fb", "a\x85b", "a\u2028b")

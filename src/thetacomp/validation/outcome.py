@@ -1,4 +1,4 @@
-"""What validation gives: before and after of every component beside the baselines, and an acceptance table."""
+"""What validation gives: before and after of every component with the baselines, and an acceptance table."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ValidationRow:
 
     `component` may be `column_X` or `column_Z`, the column deviation. `split` is `campaign`, `state` or `forward`.
     `reduction_percent` compares the maxima. `rms_in_sample_um` is the residual RMS of the same model fitted on all
-    data: the flattering figure, shown beside the honest one. `coverage_percent` is the share of held-out points
+    data: the optimistic figure, shown next to the honest one. `coverage_percent` is the share of held-out points
     inside the model's 95 % interval; NaN where the model states none.
     """
 

@@ -18,7 +18,7 @@ from thetacomp.screening.model import ScreeningModel
 
 
 @dataclass(frozen=True)
-class LiveReadings:
+class OnlineReadings:
     """What a machine uses of the readings of a run, with what the loggers read before it.
 
     `lost` says from which moment on which sensors count as lost, in order of time. A sensor that came back would have
@@ -35,28 +35,28 @@ class LiveReadings:
         return self.lost[-1][1] if self.lost else frozenset()
 
 
-def live_readings(campaign: Campaign, screening: ScreeningModel | None) -> LiveReadings:
+def online_readings(campaign: Campaign, screening: ScreeningModel | None) -> OnlineReadings:
     """The readings of a campaign as they are used while it runs: no sample is judged by a later one.
 
     Without `screening` they are used as they were read, single missing samples bridged.
     """
     table, duty = campaign.recording()
     if screening is None:
-        return LiveReadings(table.bridged(), duty, ())
+        return OnlineReadings(table.bridged(), duty, ())
     detector, lost = Detector(screening), frozenset[str]()
     value, switches = np.empty_like(table.value_degC), []
     for i, (t_s, reading) in enumerate(zip(table.t_s, table.value_degC, strict=True)):
-        verdict = detector.update(float(t_s), reading)
-        value[i] = verdict.value_degC
-        gone = {name for name, state in zip(table.sensor_ids, verdict.state, strict=True) if state == "lost"}
+        sample = detector.update(float(t_s), reading)
+        value[i] = sample.value_degC
+        gone = {name for name, state in zip(table.sensor_ids, sample.state, strict=True) if state == "lost"}
         if gone - lost:
             lost = lost | gone
             switches.append((float(t_s), lost))
-    return LiveReadings(replace(table, value_degC=value), duty, tuple(switches))
+    return OnlineReadings(replace(table, value_degC=value), duty, tuple(switches))
 
 
-def live_error_um(
-    model: ModelDocument, live: LiveReadings, t_s: Floats, positions_mm: Mapping[str, Floats], reference_s: float
+def online_error_um(
+    model: ModelDocument, live: OnlineReadings, t_s: Floats, positions_mm: Mapping[str, Floats], reference_s: float
 ) -> Floats:
     """What the machine takes for its error at n moments and positions of all axes, (n, 3) in µm.
 
@@ -86,7 +86,7 @@ def _left(t_s: Floats | float, since_s: float) -> Floats:
 
 def _error_um(
     model: ModelDocument,
-    live: LiveReadings,
+    live: OnlineReadings,
     lost: frozenset[str],
     t_s: Floats,
     positions_mm: Mapping[str, Floats],

@@ -8,8 +8,8 @@ from thetacomp.errors import AnalysisError
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Something doubtful in the tracker points: what was found, and how to mend it."""
+class TrackerDoubt:
+    """Something doubtful in the tracker points: what was found, and how to fix it."""
 
     code: str
     message: str
@@ -17,8 +17,8 @@ class Finding:
 
 
 class FrameError(AnalysisError):
-    """The points do not determine a frame or a tie. `finding` says what is missing and why."""
+    """The points do not determine a frame or a tie. `doubt` says what is missing and why."""
 
     def __init__(self, code: str, message: str, fix: str) -> None:
-        self.finding = Finding(code, message, fix)
+        self.doubt = TrackerDoubt(code, message, fix)
         super().__init__(f"{message} Fix: {fix}")

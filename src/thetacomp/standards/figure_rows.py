@@ -14,7 +14,7 @@ KINDS = {"etve": "ETVE", "spindle": "spindle", "axis": "linear axis"}
 
 
 @dataclass(frozen=True)
-class Row:
+class FigureRow:
     """One figure. `value` and `u` (expanded uncertainty of the instrument's share; None: not stated) are in `unit`.
 
     `place` is a target position or empty; `start_s` and `end_s` are NaN where the readings carry no time.
@@ -60,7 +60,7 @@ TARGET_SYMBOLS = (
 )
 
 
-def rows(test: Evaluated) -> tuple[Row, ...]:
+def figure_rows(test: Evaluated) -> tuple[FigureRow, ...]:
     """All figures of one test."""
     campaign = test.campaign.name if test.campaign is not None else ""
     if isinstance(test.result, Positioning):
@@ -74,12 +74,12 @@ def axis_u_um(symbol: str, result: Positioning, instrument: Instrument) -> float
     return instrument.difference_u_um(apart_mm)
 
 
-def _positioning(result: Positioning, campaign: str, instrument: Instrument) -> Iterator[Row]:
+def _positioning(result: Positioning, campaign: str, instrument: Instrument) -> Iterator[FigureRow]:
     axis = result.runs.axis
 
-    def row(symbol: str, place: str, value: float, u: float | None) -> Row:
+    def row(symbol: str, place: str, value: float, u: float | None) -> FigureRow:
         start_s, end_s = result.span_s
-        return Row(campaign, "ISO 230-2", "positioning", axis, symbol, place, value, "µm", u, start_s, end_s)
+        return FigureRow(campaign, "ISO 230-2", "positioning", axis, symbol, place, value, "µm", u, start_s, end_s)
 
     for symbol, name, _ in AXIS_SYMBOLS:
         yield row(symbol, "", getattr(result.figures, name), axis_u_um(symbol, result, instrument))
@@ -89,7 +89,7 @@ def _positioning(result: Positioning, campaign: str, instrument: Instrument) -> 
             yield row(symbol, f"{target_mm:g} mm", float(getattr(result.targets, name)[i]), None)
 
 
-def _thermal(test: ThermalTest, campaign: str) -> Iterator[Row]:
+def _thermal(test: ThermalTest, campaign: str) -> Iterator[FigureRow]:
     start_s = test.start_s
     for line in test.lines:
         figures = [
@@ -98,7 +98,7 @@ def _thermal(test: ThermalTest, campaign: str) -> Iterator[Row]:
             ("change", line.change, test.end_s),
         ]
         for word, value, end_s in figures[1 if test.kind == "etve" else 0 :]:
-            yield Row(
+            yield FigureRow(
                 campaign,
                 "ISO 230-3",
                 KINDS[test.kind],

@@ -14,7 +14,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.model.filters import InputLayout
 from thetacomp.separation.component import ComponentSeparation, mean_square_m2
 from thetacomp.temperature.history_track import HistoryTrack, history_layout, history_track
-from thetacomp.temperature.passage import Passage, joined, passage
+from thetacomp.temperature.trajectory import Trajectory, concatenated, measured_trajectory
 
 DRIFT = ""
 LINE_POSITIONS = 31
@@ -27,7 +27,7 @@ class Samples:
     Measured points where sweeps exist, the separated line over the travel where only parameters do, the displacement
     itself for drift. `state` is the row of AxisStates; `lever_m` the distance from P0; `noise_sd_um` the scatter of
     the instrument; `history` (n, k) the inputs that AxisStates.layout describes. `drift_um` is the drift of that moment
-    where it was separated apart (joint form), else zero; it is no part of `value_um`.
+    where it was separated on its own (joint form), else zero; it is no part of `value_um`.
     """
 
     state: Ints
@@ -55,7 +55,7 @@ class AxisStates:
     and in parameters from elsewhere the cold state is a measurement like any other, and with a common datum there is no
     zero of the campaign's own. `history` (n, k) holds lagged temperatures and speeds as differences from the reference,
     whose own values are `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was
-    read in all campaigns). `passage` is what the machine went through between the states.
+    read in all campaigns). `trajectory` is what the machine went through between the states.
     """
 
     axis: str
@@ -81,7 +81,7 @@ class AxisStates:
     history: Floats
     reference_history: Floats
     layout: InputLayout | None
-    passage: Passage
+    trajectory: Trajectory
     samples: tuple[Samples, ...]
 
     def __len__(self) -> int:
@@ -128,8 +128,8 @@ class AxisStates:
         row_of = np.full(len(self), -1)
         row_of[rows] = np.arange(len(chosen["t_s"]))
         samples = tuple(_renumbered(samples, row_of) for samples in self.samples)
-        passed = self.passage.among(chosen["campaign"], chosen["t_s"])
-        return replace(self, samples=samples, passage=passed, **chosen)
+        passed = self.trajectory.between_states(chosen["campaign"], chosen["t_s"])
+        return replace(self, samples=samples, trajectory=passed, **chosen)
 
 
 def curve_um(parameters: Floats, component: int, components: int, lever_m: Floats) -> Floats:
@@ -267,7 +267,7 @@ def _campaign_states(
         history=track.at(t_s),
         reference_history=np.tile(track.reference, (n, 1)),
         layout=layout,
-        passage=passage(track, layout, index, t_s),
+        trajectory=measured_trajectory(track, layout, index, t_s),
         samples=tuple(_samples(campaign, sensors, s, states, reference, p0_mm, track) for s in own),
     )
 
@@ -282,7 +282,7 @@ def _stack(parts: Sequence[AxisStates], names: tuple[str, ...]) -> AxisStates:
         p_min_mm=min(part.p_min_mm for part in parts),
         p_max_mm=max(part.p_max_mm for part in parts),
         exact_zero=all(part.exact_zero for part in parts),
-        passage=joined([part.passage for part in parts]),
+        trajectory=concatenated([part.trajectory for part in parts]),
         samples=tuple(
             _stack_samples([part.samples[c] for part in parts], starts) for c in range(len(parts[0].components))
         ),

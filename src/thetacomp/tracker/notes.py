@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thetacomp.campaign import TrackerTie
-from thetacomp.tracker.finding import Finding
+from thetacomp.tracker.doubt import TrackerDoubt
 
-SCALE_TOLD_UM_PER_M = 10.0
+SCALE_REPORTED_UM_PER_M = 10.0
 
 
 def describe(tie: TrackerTie, axes: Sequence[str], left_out: int) -> tuple[str, ...]:
@@ -40,12 +40,12 @@ def describe(tie: TrackerTie, axes: Sequence[str], left_out: int) -> tuple[str, 
     return tuple(notes)
 
 
-def scale_finding(scale_um_per_m: float, se_um_per_m: float) -> tuple[Finding, ...]:
+def scale_doubt(scale_um_per_m: float, se_um_per_m: float) -> tuple[TrackerDoubt, ...]:
     """A scale that chance does not explain: the laser, or a machine that is compensated to another temperature."""
-    if abs(scale_um_per_m) < max(3.0 * se_um_per_m, SCALE_TOLD_UM_PER_M):
+    if abs(scale_um_per_m) < max(3.0 * se_um_per_m, SCALE_REPORTED_UM_PER_M):
         return ()
     return (
-        Finding(
+        TrackerDoubt(
             "tracker-scale",
             f"the cold machine measures {scale_um_per_m:+.1f} ± {se_um_per_m:.1f} µm/m (standard error) longer than"
             " commanded. This is not applied: it stays in the geometry.",

@@ -1,6 +1,6 @@
 """Which share of the wanted correction reached the machine, and repeated runs drawn from what it does not explain.
 
-The error of a run is regressed on the error that its temperatures let expect: `value = gain × expected + rest`. With
+The error of a run is regressed on the error expected from its temperatures: `value = gain × expected + rest`. With
 compensation off the gain is 1 (or what the model is wrong by), with it on it is 1 less the applied share:
 
     share = gain_off - gain_on      1 right, 0 not active, -1 reversed, 2 doubled
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Floats
-from thetacomp.verification.findings import Share, ShareKind
+from thetacomp.verification.outcome import Share, ShareKind
 from thetacomp.verification.runs import RunPoints
 
 DRAWS = 1000
@@ -58,7 +58,7 @@ class Fit:
 
 
 def fit_run(points: RunPoints, separate_parts: bool) -> Fit:
-    """Regress a run on its expected error; where none is known every state stands for itself."""
+    """Regress a run on its expected error; where none is known, every state is taken by itself."""
     if not points.explained:
         state_lines = _state_lines(points, points.value_um)
         explained = _values(points, state_lines)
@@ -159,7 +159,7 @@ def shares(
 
 
 def classify(value: float, low: float, high: float) -> ShareKind:
-    """Name a share by its interval; "unclear" where the interval is too wide to tell one case from another."""
+    """Name a share by its interval; "unclear" where the interval is too wide to decide between cases."""
     possible = [(centre, kind) for centre, kind in SPECIAL if low - MARGIN <= centre <= high + MARGIN]
     if high - low > WIDEST or len(possible) > 1:
         return "unclear"

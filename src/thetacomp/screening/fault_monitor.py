@@ -6,11 +6,11 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.screening.agreement import Agreement
+from thetacomp.screening.change_point import fit_change
 from thetacomp.screening.events import Event
 from thetacomp.screening.faults import FaultKind
 from thetacomp.screening.isolation import culprit, exchanged_with
 from thetacomp.screening.model import ScreeningModel
-from thetacomp.screening.shapes import change
 from thetacomp.screening.window import History
 
 CONFIRM_S = 300.0  # a change is watched that long before it is called a step, a spike or a slow departure
@@ -19,7 +19,7 @@ NOISY_ALARMS = 5  # so many alarms of one sensor within AGAIN_S
 SILENT: tuple[FaultKind, ...] = ("stuck", "missing")
 
 
-class Follower:
+class FaultMonitor:
     """The state of all sensors of one machine, block by block.
 
     `offset_K` (p,) is taken off a sensor that jumped and stayed; `source` (p,) says which channel carries a sensor.
@@ -186,7 +186,7 @@ class Follower:
         steps = self.model.horizon_steps[h]
         begin = max(self.history.first, self.history.start, now - steps - 10)
         residual = self.history.residual(j, begin, self.excluded, h, now, float(self.offset_K[j]))
-        found = change(residual)
+        found = fit_change(residual)
         onset = begin + found.onset
         if not found.abrupt:
             onset = max(begin + 1, onset - max(1, steps // 20))
@@ -265,7 +265,7 @@ class Follower:
             self._restore(j, now - 1)
         elif (partner := exchanged_with(self.history, event, self.offset_K, self.open)) is not None:
             self._swap(event, partner)
-        elif change(residual).abrupt:
+        elif fit_change(residual).abrupt:
             after = deviation[event.onset - begin + 1 :]
             self.offset_K[j] = event.offset_before_K + float(np.nanmedian(after))
             event.shift_K = event.size_K = float(np.nanmedian(after))

@@ -9,12 +9,12 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from thetacomp.states import AxisStates
+from thetacomp.axis_states import AxisStates
 
 M = TypeVar("M")
 
 
-class Once(Generic[M]):
+class CachedProcedure(Generic[M]):
     """A procedure that keeps what it made: called again on states that are equal number by number, it gives that.
 
     Right for a procedure that depends on its states alone, as every one that is repeated inside the folds must.

@@ -21,7 +21,7 @@ class Statistic:
     """One figure of an error, off and on, in µm. `kind` is max, p95 or rms.
 
     `like_before_um` is the uncompensated figure brought to the heat of the run with compensation on; `reduction`
-    compares the runs as measured, `like_reduction` at like heat. `low_percent` and `high_percent` bound the latter
+    compares the runs as measured, `like_reduction` at the same heat. `low_percent` and `high_percent` bound the latter
     (95 %). NaN where no temperature explains the error of the run with compensation off.
     """
 
@@ -74,7 +74,7 @@ class Share:
 
 @dataclass(frozen=True)
 class HarmMap:
-    """|residual| less |uncompensated error at like heat| in µm, (states, positions); NaN where nothing was measured.
+    """|residual| less |uncompensated error at the same heat| in µm, (states, positions); NaN: not measured.
 
     `t_s` (states,) and `position_mm` (positions,); drift has one position. `limit_um` is what a check allows.
     """
@@ -152,7 +152,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class StateLine:
-    """The largest |error| over the travel at every state of one run, in µm, beside the time and the expected error."""
+    """The largest |error| over the travel at every state of one run, in µm, with the time and the expected error."""
 
     component: str
     t_s: Floats
@@ -161,7 +161,7 @@ class StateLine:
 
 
 @dataclass(frozen=True)
-class Verification:
+class VerificationResult:
     """Everything the verification page shows. `heat_ratio` is heat on / heat off in terms of expected error.
 
     `states_off` and `states_on` draw the error against the heat. `pattern` says where the expected uncompensated

@@ -1,4 +1,4 @@
-"""Straightness and squareness in the sense of ISO 230-1, apart from the column deviation and not mixed with it."""
+"""Straightness and squareness in the sense of ISO 230-1, separate from the column deviation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from thetacomp.arrays import Floats
 from thetacomp.machine import Axis, Machine
 from thetacomp.separation import ComponentSeparation
 from thetacomp.separation.component import Points
-from thetacomp.verification.findings import Squareness, Straightness
+from thetacomp.verification.outcome import Squareness, Straightness
 
 LEAST_SQUARES, END_POINTS = "least squares", "end points"
 

@@ -1,6 +1,6 @@
-"""The uncompensated error that the temperatures let expect in any run: from a stored model, or fitted to the off run.
+"""The uncompensated error expected from the temperatures of any run: by a stored model, or by a fit to the off run.
 
-It brings both runs to like heat, and it is the pattern that tells which share of the correction was applied.
+With it both runs are compared at the same heat, and the share of the correction that was applied is estimated.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.procedures import key_point_procedure
@@ -18,12 +19,11 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.model.prediction import law_values
 from thetacomp.model.volumetric import volume_along
 from thetacomp.separation import ComponentSeparation
-from thetacomp.states import AxisStates
 
 Expected = tuple[Floats, Floats]
 
 
-def fitted_pattern(
+def expected_from_fit(
     folder: MachineFolder, states: AxisStates, off: Sequence[str]
 ) -> tuple[tuple[Expected, ...], tuple[str, ...]]:
     """Expected intercept and slope of every sample, component by component, from a fit to the off campaigns alone.
@@ -49,7 +49,7 @@ def fitted_pattern(
     return tuple(out), ()
 
 
-def model_pattern(
+def expected_from_model(
     model: ModelDocument, folder: MachineFolder, states: AxisStates, separations: Sequence[ComponentSeparation]
 ) -> tuple[tuple[Expected, ...], tuple[str, ...]]:
     """Expected intercept and slope of every sample from a stored model; NaN for components it does not predict.

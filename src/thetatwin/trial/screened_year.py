@@ -19,7 +19,7 @@ from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening
 from thetatwin.hall import DAY_S
 from thetatwin.year import LEAD_DAYS, Readings
 
-PASSING = ("missing", "spike")  # told only where they last
+PASSING = ("missing", "spike")  # reported only where they last
 SHORTEST_S = 3600.0
 
 
@@ -35,7 +35,7 @@ class ScreenedMonth:
 
 @dataclass(frozen=True)
 class ScreenedYear:
-    """All months, and the faults that were found, as they stood at last; short missing readings and spikes left out.
+    """All months, and the faults that were found, in their final state; short missing readings and spikes left out.
 
     A fault ends where the readings begin to agree; they are used a day later. `repair` is `lost` where the sensor was
     left out for some of that time. `judged` is False where no fault was looked for.
@@ -76,9 +76,9 @@ def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Seq
     t_s, value = _stream(months, begins_s)
     used, out = np.empty_like(value), np.zeros(value.shape, dtype=np.bool_)
     for i, moment_s in enumerate(t_s):
-        verdict = detector.update(float(moment_s), value[i])
-        used[i] = verdict.value_degC
-        out[i] = [state == "lost" for state in verdict.state]
+        sample = detector.update(float(moment_s), value[i])
+        used[i] = sample.value_degC
+        out[i] = [state == "lost" for state in sample.state]
     end_s = float(t_s[-1])
     told = [
         f

@@ -11,7 +11,7 @@ TEMPERATURE_TABLE = "temperature"
 
 
 def refuse_mixtures(campaigns: Sequence[Campaign], mix: bool = False) -> tuple[str, ...]:
-    """Campaigns of different operating modes or active tables are not mixed unasked.
+    """Campaigns of different operating modes or active tables are not mixed unless requested.
 
     With `mix` they are, and the notes that come back say so. Raises AnalysisError for a mixture, and in any case where
     temperature compensation was active: a model of it would be a model of the remainder.

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 
 from markupsafe import Markup
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report import comparison, style, tables
 from thetacomp.report.figures import all_figures
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import Drawings, draw
 
 REPORT_FILE = "report.html"
 
 
-def report_files(analysis: Analysis) -> dict[str, str | bytes]:
+def report_files(analysis: AnalysisResult) -> dict[str, str | bytes]:
     """`report.html` and `figures/*.svg`, `figures/*.png`, by file name, the report first.
 
     Where a name has letters that no installed font can draw, one note says so on stderr and in the report.
@@ -24,7 +24,7 @@ def report_files(analysis: Analysis) -> dict[str, str | bytes]:
     return {REPORT_FILE: render_page(analysis, drawings), **drawings.files()}
 
 
-def render_page(analysis: Analysis, drawings: Drawings) -> str:
+def render_page(analysis: AnalysisResult, drawings: Drawings) -> str:
     """The whole page as HTML text."""
     faulty = _faulty(analysis)
     notes = [*analysis.notes, *analysis.model.notes, *drawings.remarks()]
@@ -60,7 +60,7 @@ def render_page(analysis: Analysis, drawings: Drawings) -> str:
     )
 
 
-def _faulty(analysis: Analysis) -> tuple[str, ...]:
+def _faulty(analysis: AnalysisResult) -> tuple[str, ...]:
     """Sentences of the part on faulty readings, which is left out where there are none."""
     found = analysis.screening
     return found.notes if found is not None and (found.findings or found.held) else ()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import CARTESIAN, Floats, Ints
-from thetacomp.validation.rows import AcceptanceCheck
+from thetacomp.validation.outcome import AcceptanceCheck
 from thetatwin.hall import DAY_S
 from thetatwin.trial.run import ADAPTIVE, FROZEN, NOTHING, Trial
 from thetatwin.year import MONTH_DAYS

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, SweepPoints
 from thetacomp.fitting.border import calibrate_validity
 from thetacomp.fitting.calibrated import calibrated_history
@@ -16,9 +17,8 @@ from thetacomp.model.document import AxisLaw
 from thetacomp.model.filters import run_filters
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.separation import separate_all
-from thetacomp.states import AxisStates, axis_states
 from thetacomp.temperature.history_track import history_track
-from thetacomp.temperature.passage import LONGEST_STEP_S, passage
+from thetacomp.temperature.trajectory import LONGEST_STEP_S, measured_trajectory
 
 MACHINE = Machine(
     name="stops to be measured",
@@ -118,23 +118,23 @@ def test_the_leverage_counts_from_the_fitted_moments_and_the_range_from_all(
 ) -> None:
     sweeps = np.hstack([states.history, states.rise_K + states.reference_degC])
     np.testing.assert_allclose(document.border.distance.leverage.centre, sweeps.mean(axis=0), atol=1e-9)
-    low, high = states.passage.inputs.min(axis=0), states.passage.inputs.max(axis=0)
+    low, high = states.trajectory.inputs.min(axis=0), states.trajectory.inputs.max(axis=0)
     np.testing.assert_allclose(document.border.distance.middle, (low + high) / 2)
     # the lag of 480 s of the speed has decayed by the time of the sweeps, 16 minutes after the stop
     fast = [name for block in document.layout.blocks.values() for name in block].index("speed^1 lag 480 s")
     assert high[fast] > 4.0 * sweeps[:, fast].max()
 
 
-def test_passage_has_every_state_and_no_long_step(states: AxisStates) -> None:
+def test_trajectory_has_every_state_and_no_long_step(states: AxisStates) -> None:
     for label in range(len(states.campaigns)):
-        passed_s = states.passage.t_s[states.passage.campaign == label]
+        passed_s = states.trajectory.t_s[states.trajectory.campaign == label]
         own_s = states.t_s[states.campaign == label]
         assert set(own_s) <= set(passed_s)
         assert (passed_s[0], passed_s[-1]) == (own_s.min(), own_s.max())
         assert max(b - a for a, b in pairwise(passed_s)) <= LONGEST_STEP_S + 1e-6
-    at = np.searchsorted(states.passage.t_s[states.passage.campaign == 0], states.t_s[states.campaign == 0])
+    at = np.searchsorted(states.trajectory.t_s[states.trajectory.campaign == 0], states.t_s[states.campaign == 0])
     k = states.history.shape[1]
-    np.testing.assert_allclose(states.passage.inputs[at, :k], states.history[states.campaign == 0])
+    np.testing.assert_allclose(states.trajectory.inputs[at, :k], states.history[states.campaign == 0])
 
 
 def test_where_every_moment_is_measured_nothing_is_added_and_nothing_changes() -> None:
@@ -142,13 +142,13 @@ def test_where_every_moment_is_measured_nothing_is_added_and_nothing_changes() -
     dense = states_of(1, 2)
     minutes_s = np.arange(0.0, 3600.0, 15.0)
     track = history_track(campaign(1), dense.layout, np.array([3400.0]))  # type: ignore[arg-type]
-    one = passage(track, dense.layout, 0, rng.permutation(minutes_s))
+    one = measured_trajectory(track, dense.layout, 0, rng.permutation(minutes_s))
     np.testing.assert_array_equal(one.t_s, minutes_s)
 
 
 def test_a_held_out_campaign_leaves_no_moment_behind(states: AxisStates) -> None:
     rest = states.take(np.flatnonzero(states.campaign != 3))
-    assert set(rest.passage.campaign) == set(range(8)) - {3}
+    assert set(rest.trajectory.campaign) == set(range(8)) - {3}
     # where the last states of a campaign leave, what lay after the ones that stay leaves with them
     early = states.take(np.flatnonzero((states.campaign == 0) & (states.elapsed_h < 5.0)))
-    assert early.passage.t_s.max() == early.t_s.max() < states.passage.t_s.max()
+    assert early.trajectory.t_s.max() == early.t_s.max() < states.trajectory.t_s.max()

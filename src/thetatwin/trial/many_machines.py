@@ -1,7 +1,7 @@
 """Verification of many virtual machines: measure, analyse, run with compensation, and compare column deviations.
 
 As in the paper: the column's deviation is the largest deviation of the tool from its cold reference over the column's
-travel, in X and in Z, over all sweeps after the cold block. It is told as the tracker measures it and as it truly is.
+travel, in X and in Z, over all sweeps after the cold block. It is given as the tracker measures it and as it truly is.
 Calibration and compensation go the way of a user: files, screening, joint form, stored model, positions of all axes.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp.arrays import CARTESIAN, Floats, Ints
+from thetacomp.axis_states import DRIFT
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.training import train
 from thetacomp.machine import Axis
@@ -23,12 +24,11 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.preparation import Prepared, prepare
 from thetacomp.reading import read_folder
 from thetacomp.screening import fit_screening
-from thetacomp.states import DRIFT
 from thetatwin.campaigns import Correction, Record, Twin, make_twin, plan_campaigns, run_campaign
 from thetatwin.conditions import Conditions
 from thetatwin.trial.clock import clock_error_um
-from thetatwin.trial.live import LiveReadings, live_error_um, live_readings
-from thetatwin.virtual import VirtualMachine
+from thetatwin.trial.online import OnlineReadings, online_error_um, online_readings
+from thetatwin.virtual_machine import VirtualMachine
 from thetatwin.writer import write_machine_folder
 
 DEFAULT, ONE_SENSOR, CLOCK = "default", "one_sensor", "clock"
@@ -39,7 +39,7 @@ _REWEIGHTED = 20
 
 
 @dataclass(frozen=True)
-class MeasuringPlan:
+class VerificationPlan:
     """How the campaigns are measured and used; everything else stays as the preset has it.
 
     `calibrations` campaigns train; one more, of other work on another day, verifies. Each point is the mean of
@@ -80,7 +80,7 @@ class Deviation:
         return 100.0 * (1.0 - self.true_after_um / self.true_before_um)
 
 
-def with_plan(conditions: Conditions, plan: MeasuringPlan) -> Conditions:
+def with_plan(conditions: Conditions, plan: VerificationPlan) -> Conditions:
     """The same hall, work, sensors and tracker, measured by a plan: more readings take longer and scatter less."""
     work, tracker = conditions.work, conditions.tracker
     # The scatter from point to point falls with the readings; what a sweep or a day has in common does not.
@@ -110,7 +110,9 @@ def with_plan(conditions: Conditions, plan: MeasuringPlan) -> Conditions:
     )
 
 
-def verify_machine(machine: VirtualMachine, conditions: Conditions, plan: MeasuringPlan, seed: int) -> list[Deviation]:
+def verify_machine(
+    machine: VirtualMachine, conditions: Conditions, plan: VerificationPlan, seed: int
+) -> list[Deviation]:
     """Calibrate one machine, verify it in a campaign that the analysis has not seen, and compare.
 
     The same campaign is run without and with each compensation: heat, hall and instruments are the same in all runs.
@@ -198,7 +200,7 @@ def corrections(folder: MachineFolder, off: Record, screening: bool = True) -> M
     """
     names = [c.name for c in folder.campaigns if c.name != off.plan.name]
     healthy = fit_screening([folder.campaign(name).temperatures for name in names]) if screening else None
-    live = live_readings(folder.campaign(off.plan.name), healthy)
+    live = online_readings(folder.campaign(off.plan.name), healthy)
     prepared = prepare(folder, names, faults="repair" if screening else "ignore", mix=True)
     # A fallback is fitted where its sensor is lost: one for each sensor takes longer than all the rest.
     trained = train(prepared, (COLUMN, DRIFT), live.ever_lost)
@@ -209,13 +211,13 @@ def corrections(folder: MachineFolder, off: Record, screening: bool = True) -> M
     }
 
 
-def _by_model(model: ModelDocument, live: LiveReadings, off: Record) -> Correction:
+def _by_model(model: ModelDocument, live: OnlineReadings, off: Record) -> Correction:
     # The readings of a run do not depend on the correction, so they are screened once, before.
     def correction(t_s: Floats, reading: Floats, at_s: Floats, positions_mm: Mapping[str, Floats]) -> Floats:
         rows = _column_rows(model.axes, positions_mm)
         there = {name: position[rows] for name, position in positions_mm.items()}
         out = np.zeros((len(at_s), 3))
-        out[rows] = -live_error_um(model, live, at_s[rows], there, off.reference_s)
+        out[rows] = -online_error_um(model, live, at_s[rows], there, off.reference_s)
         return out
 
     return correction

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.arrays import Floats
 from thetacomp.model.law import ComponentLaw, component_laws
 from thetacomp.separation.component import ComponentSeparation
@@ -46,7 +46,7 @@ def explains(law: ComponentLaw, power: int, chance: float = 0.05) -> bool:
     return bool(special.fdtrc(len(coefficient), max(component.dof or 0, 1), statistic) <= chance)
 
 
-def reference_degC(analysis: Analysis, state: ComponentSeparation, component: ComponentLaw) -> Floats | None:
+def reference_degC(analysis: AnalysisResult, state: ComponentSeparation, component: ComponentLaw) -> Floats | None:
     """Temperatures of the component's inputs where the error counts as zero; None where the campaign lacks one."""
     if analysis.model.training.datum == "common":
         return component.law.zero
@@ -54,7 +54,9 @@ def reference_degC(analysis: Analysis, state: ComponentSeparation, component: Co
     return None if while_cold is None else np.asarray(while_cold.mean(axis=0))
 
 
-def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: ComponentLaw, t_s: Floats) -> Floats | None:
+def inputs_degC(
+    analysis: AnalysisResult, state: ComponentSeparation, component: ComponentLaw, t_s: Floats
+) -> Floats | None:
     """Temperatures of the component's inputs at times (n,), shape (n, inputs); None where the campaign lacks one."""
     measured = analysis.folder.campaign(state.campaign).temperatures
     if not set(component.inputs) <= set(measured.sensor_ids):
@@ -62,12 +64,12 @@ def inputs_degC(analysis: Analysis, state: ComponentSeparation, component: Compo
     return measured.select(component.inputs).at(t_s)
 
 
-def drawn_law(analysis: Analysis) -> str:
+def drawn_law(analysis: AnalysisResult) -> str:
     """What `predict_states` gives, in words: with heat history in use it is not what predictions come from."""
     return "the law on key points (not the heat history in use)" if analysis.model.prediction else "the stored model"
 
 
-def predict_states(analysis: Analysis, state: ComponentSeparation) -> PredictedStates | None:
+def predict_states(analysis: AnalysisResult, state: ComponentSeparation) -> PredictedStates | None:
     """The law on key points at every state of one separated component; None where the model does not hold it."""
     component = component_laws(analysis.model.control).get(state.component)
     if component is None:

@@ -1,4 +1,4 @@
-"""A fit is made once: equal states give the model that was made, another number anywhere gives another."""
+"""A fit is made cached: equal states give the model that was made, another number anywhere gives another."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from slow_column import folder
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.fitting import training
 from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
-from thetacomp.fitting.once import Once
+from thetacomp.fitting.fit_cache import CachedProcedure
 from thetacomp.fitting.training import train
 from thetacomp.preparation import prepare
-from thetacomp.states import AxisStates
 from thetacomp.validation.judge import judge
 
 
 def test_equal_states_are_fitted_once_and_others_anew() -> None:
     (states,) = prepare(folder(1, 2), faults="ignore").training
     made: list[AxisStates] = []
-    once = Once(made.append)
-    once(states)
-    once(states.take(np.arange(len(states))))
+    cached = CachedProcedure(made.append)
+    cached(states)
+    cached(states.take(np.arange(len(states))))
     assert len(made) == 1
     samples = replace(states.samples[0], value_um=states.samples[0].value_um + 1e-9)
     others = [
@@ -35,7 +35,7 @@ def test_equal_states_are_fitted_once_and_others_anew() -> None:
         states.take(np.arange(1, len(states))),
     ]
     for other in others:
-        once(other)
+        cached(other)
     assert len(made) == 1 + len(others)
     assert all(a is not b for a, b in pairwise(made))
 

@@ -1,4 +1,4 @@
-"""Labels beside their dots: each takes the free place nearest to its dot."""
+"""Labels next to their dots: each takes the free place nearest to its dot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Label:
     point: tuple[float, float]
 
 
-def arrange(labels: Sequence[Label], letter_px: float) -> list[tuple[float, float]]:
+def place_labels(labels: Sequence[Label], letter_px: float) -> list[tuple[float, float]]:
     """Offset (x, y) in pixels of the middle of each label from its point, so that texts and dots overlap least."""
     points = np.array([label.point for label in labels]).reshape(-1, 2)
     half = np.array([[_LETTER_WIDTH * len(label.text) + 0.5, _LINE_HEIGHT] for label in labels]) * letter_px / 2

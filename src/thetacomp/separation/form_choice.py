@@ -13,7 +13,7 @@ from thetacomp.separation.component import ComponentSeparation, Form, LinearityT
 from thetacomp.separation.joint_form import separate_joint, why_not_joint
 from thetacomp.separation.separate import separate_campaign
 
-# A bend that rests on fewer positions cannot be told from two bad points.
+# A bend that rests on fewer positions cannot be distinguished from two bad points.
 MIN_POSITIONS = 5
 
 
@@ -31,7 +31,7 @@ def separate_all(machine: Machine, campaigns: Sequence[Campaign]) -> Separated:
     """Separate campaigns in the joint form where every one of them carries it, else all of them axis by axis.
 
     The two forms are never mixed: an intercept means another thing in each. Where heat bends a component, all its
-    heated sweeps become parabolas instead of lines, in every campaign alike. Raises AnalysisError where a campaign
+    heated sweeps become parabolas instead of lines, in every campaign. Raises AnalysisError where a campaign
     cannot be separated.
     """
     straight = _separate_as(machine, campaigns, ())

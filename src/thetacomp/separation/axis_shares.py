@@ -9,7 +9,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.separation.component import ComponentSeparation
-from thetacomp.separation.joint import ComponentData, JointFit, rate_matrix
+from thetacomp.separation.sweep_fit import ComponentData, SweepFit, rate_matrix
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class AxisFit:
     """One component of one axis: the points that were fitted, the fit, and what it says."""
 
     data: ComponentData
-    fit: JointFit
+    fit: SweepFit
     separation: ComponentSeparation
 
     @property
@@ -38,8 +38,8 @@ def node_weights(fitted: AxisFit, t_s: Floats) -> Floats:
 def between_nodes(zero_s: float, node_s: Floats, t_s: Floats) -> Floats:
     """Matrix (n, m) of interpolation between nodes (m,) in order of time, zero up to `zero_s`, where the heat begins.
 
-    Cubic Hermite with the rates of the parabola through neighbouring nodes, as inside a sweep (`joint.state_weights`);
-    after the last node it goes on at the last rate.
+    Cubic Hermite with the rates of the parabola through neighbouring nodes, as inside a sweep
+    (`sweep_fit.state_weights`); after the last node it continues at the last rate.
     """
     times = np.concatenate([[zero_s], node_s])
     rates, unit = rate_matrix(times), np.eye(len(times))

@@ -19,7 +19,7 @@ except ImportError:
         "the virtual machine needs scikit-fem, which is not installed. Fix: pip install scikit-fem"
     ) from None
 from thetatwin.kinematics import ToolMap, carry_pose, support_bodies, tool_rows
-from thetatwin.reduced import ReducedModel, reduce_system
+from thetatwin.reduced_model import ReducedModel, reduce_system
 from thetatwin.thermal import ThermalSystem, assemble_machine, sensor_rows
 
 

@@ -1,4 +1,4 @@
-"""Joint fit of one error component over all sweeps of a campaign: geometry, slope and intercept with their errors.
+"""One fit of an error component over all sweeps of a campaign: geometry, slope and intercept with their errors.
 
 Model of a measured point i in sweep k (paper, equations 1 and 2, every point at its own time):
 
@@ -7,9 +7,9 @@ Model of a measured point i in sweep k (paper, equations 1 and 2, every point at
 `I = S = C = 0` in the cold block, and C = 0 throughout where a line follows the heat. Between sweeps they change;
 inside a sweep they move with the rate of the parabola through the neighbouring states, which is linear in the unknowns,
 so one least-squares problem holds it all. `α_k` is an angle error of the instrument common to a sweep: it cannot be
-told from a slope and enters as a random effect of known standard deviation, which widens the stated intervals by just
-what it costs. Tracker points bring a second one: what the tie to the foundation leaves in a sweep, an offset and a
-slope of known covariance. They also bring weights.
+distinguished from a slope and enters as a random effect of known standard deviation, which widens the stated intervals
+by just what it costs. Tracker points bring a second one: what the tie to the foundation leaves in a sweep, an offset
+and a slope of known covariance. They also bring weights.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class ComponentData:
 
 
 @dataclass(frozen=True)
-class JointFit:
-    """Solution of the joint fit. `states` lists the heated sweeps; arrays of states have length m.
+class SweepFit:
+    """Solution of the fit over all sweeps. `states` lists the heated sweeps; arrays of states have length m.
 
     `line_covariance` (2 m, 2 m) is that of (intercepts, slopes). `bend_um_per_m2` is zero where no bend was asked for;
     `line_um` (n,) is the whole thermal part at the points, bend included.
@@ -262,8 +262,8 @@ def find_outliers(data: ComponentData, curve: Curve, directions: Sequence[int], 
     return outlier
 
 
-def fit_component(data: ComponentData) -> JointFit:
-    """Separate one component: outliers first, then the curve by hold-out, then the joint fit on the good points."""
+def fit_component(data: ComponentData) -> SweepFit:
+    """Separate one component: outliers first, then the curve by hold-out, then the fit on the good points."""
     directions = tuple(int(d) for d in np.unique(data.direction))
     states = np.flatnonzero(~data.cold)
     # Outliers disturb the choice of the curve and a stiff curve makes good points look like outliers: start flexible.
@@ -279,7 +279,7 @@ def fit_component(data: ComponentData) -> JointFit:
     line_part = slice(system.intercepts.start, system.slopes.stop)
     heat = slice(system.intercepts.start, system.bends.stop)
     straight = np.zeros(len(states))
-    return JointFit(
+    return SweepFit(
         curve=curve,
         directions=directions,
         states=states,
@@ -318,7 +318,7 @@ class ShapeChange:
     geometry_um: Floats
 
 
-def shape_change(data: ComponentData, fit: JointFit) -> ShapeChange:
+def shape_change(data: ComponentData, fit: SweepFit) -> ShapeChange:
     """Fit a change of shape to every heated sweep: second and third Legendre terms and a change of reversal.
 
     Where the fit has a bend already, the second term is in it.

@@ -18,7 +18,7 @@ from thetacomp.reading.sources import Columns, Source, from_columns, read_source
 from thetacomp.reading.tables import Table, convert
 from thetacomp.reading.workbook import Workbook
 
-LoneTable: TypeAlias = "Path | str | Columns"
+SingleTable: TypeAlias = "Path | str | Columns"
 """A table of its own: the path of a file, or a table in memory."""
 
 
@@ -36,7 +36,7 @@ class Positions:
     at_mm: Mapping[str, Floats] = field(default_factory=dict)
 
 
-def read_temperatures(table: LoneTable) -> Temperatures:
+def read_temperatures(table: SingleTable) -> Temperatures:
     """Read a temperature table of any format; every column but time is a sensor. Raises InputError.
 
     Absolute times (`time`) count in seconds from 1970-01-01, so that they agree with those of `read_positions`.
@@ -49,7 +49,7 @@ def read_temperatures(table: LoneTable) -> Temperatures:
     return data
 
 
-def read_duty(table: LoneTable) -> Duty:
+def read_duty(table: SingleTable) -> Duty:
     """Read a duty table (`spindle_rpm`, `feed_mm_min`, …). Raises InputError.
 
     Absolute times (`time`) count in seconds from 1970-01-01, so that they agree with those of `read_temperatures`.
@@ -62,7 +62,7 @@ def read_duty(table: LoneTable) -> Duty:
     return data
 
 
-def read_positions(table: LoneTable) -> Positions:
+def read_positions(table: SingleTable) -> Positions:
     """Read positions: time, then `axis` and `position_mm`, or `<axis>_mm` columns, optional `tool_length_mm`.
 
     Absolute times (`time`) count in seconds from 1970-01-01. Raises InputError.
@@ -75,7 +75,7 @@ def read_positions(table: LoneTable) -> Positions:
     return data
 
 
-def _table(table: LoneTable, name: str, wanted: Callable[[Source], Schema], problems: ProblemList) -> Table | None:
+def _table(table: SingleTable, name: str, wanted: Callable[[Source], Schema], problems: ProblemList) -> Table | None:
     """A table in memory or of a file of its own; of a workbook the sheet of that name, else the first."""
     try:
         if isinstance(table, Path | str):

@@ -1,4 +1,4 @@
-"""What a machine passed through between its measured states: a border is asked there, too, not only while measuring."""
+"""The inputs of a machine between its measured states: validity is checked there, too, not only at the states."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LONGEST_STEP_S = 300.0
 
 
 @dataclass(frozen=True)
-class Passage:
+class Trajectory:
     """Moments from the first to the last measured state of each campaign, m in all; the states are among them.
 
     `campaign` (m,) is the number of the campaign and `t_s` (m,) the time in it. `inputs` (m, k + p) are those of the
@@ -27,28 +27,30 @@ class Passage:
     t_s: Floats
     inputs: Floats
 
-    def among(self, campaign: Ints, t_s: Floats) -> Passage:
+    def between_states(self, campaign: Ints, t_s: Floats) -> Trajectory:
         """Only what lies between the first and the last of some states, `campaign` (n,) and `t_s` (n,)."""
         kept = np.zeros(len(self.t_s), dtype=np.bool_)
         for label in np.unique(campaign):
             own_s = t_s[campaign == label]
             kept |= (self.campaign == label) & (self.t_s >= own_s.min()) & (self.t_s <= own_s.max())
-        return Passage(self.campaign[kept], self.t_s[kept], self.inputs[kept])
+        return Trajectory(self.campaign[kept], self.t_s[kept], self.inputs[kept])
 
 
-def passage(track: HistoryTrack, layout: InputLayout | None, campaign: int, measured_s: Floats) -> Passage:
+def measured_trajectory(
+    track: HistoryTrack, layout: InputLayout | None, campaign: int, measured_s: Floats
+) -> Trajectory:
     """One campaign with states at `measured_s` (n,): those moments, and others so that no step is above 300 s."""
     t_s = _filled(np.unique(measured_s))
     absolute = track.absolute(t_s)
     sensors = len(layout.sensors) if layout is not None else 0
     inputs = np.hstack([absolute - track.reference, absolute[:, :sensors]])
     known = np.isfinite(inputs).all(axis=1)
-    return Passage(np.full(int(known.sum()), campaign), t_s[known], inputs[known])
+    return Trajectory(np.full(int(known.sum()), campaign), t_s[known], inputs[known])
 
 
-def joined(parts: Sequence[Passage]) -> Passage:
-    """The passages of several campaigns, one after another."""
-    return Passage(
+def concatenated(parts: Sequence[Trajectory]) -> Trajectory:
+    """The trajectories of several campaigns, one after another."""
+    return Trajectory(
         campaign=np.concatenate([part.campaign for part in parts]),
         t_s=np.concatenate([part.t_s for part in parts]),
         inputs=np.vstack([part.inputs for part in parts]),

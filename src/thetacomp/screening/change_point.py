@@ -1,4 +1,4 @@
-"""When and how a residual left zero: the begin of a change and whether it was a step or took its time."""
+"""When and how a residual left zero: the onset of a change, and whether it was a step or gradual."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST_ONSETS = 60
 
 
 @dataclass(frozen=True)
-class Change:
+class ResidualChange:
     """`onset` is the index of the first changed block; `size` in the unit of the residual, at the end of the record."""
 
     onset: int
@@ -23,7 +23,7 @@ class Change:
     time_constant: float
 
 
-def change(residual: Floats, earliest: int = 2) -> Change:
+def fit_change(residual: Floats, earliest: int = 2) -> ResidualChange:
     """The change that fits a residual (n,) best in least squares, over all begins and shapes.
 
     Shapes are a step, 1 - exp(-t / T) for several T, and a ramp. The block of the onset itself is left out of a step:
@@ -39,7 +39,7 @@ def change(residual: Floats, earliest: int = 2) -> Change:
     slow = min(others, key=lambda o: o[0])
     abrupt = step[0] <= slow[0] * (1.0 + 6.0 / max(int(good.sum()), 1)) + 1e-12
     _, onset, size, tau = (*step, 0.0) if abrupt else slow
-    return Change(onset, abrupt, size, tau)
+    return ResidualChange(onset, abrupt, size, tau)
 
 
 def _near(onset: int, onsets: np.ndarray[tuple[int], np.dtype[np.int_]], earliest: int, n: int) -> range:

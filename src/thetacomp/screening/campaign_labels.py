@@ -104,7 +104,7 @@ def _held_sweeps(campaign: str, sweeps: SweepPoints) -> tuple[Bools, list[HeldLa
     """Held values (n, columns) of sweeps: an instrument that hangs repeats every coordinate while the axis moves.
 
     Every point is taken at a standstill, so the duty says nothing here. A sweep that is constant as a whole may be a
-    table without noise: it is told and believed.
+    table without noise: it is reported and believed.
     """
     values = _values(sweeps)
     read = np.flatnonzero(np.isfinite(values).any(axis=0))

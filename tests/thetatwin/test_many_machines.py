@@ -20,22 +20,22 @@ from thetacomp.preparation import Prepared, prepare
 from thetacomp.screening.model import ScreeningModel
 from thetatwin.campaigns import Twin, plan_campaigns, run_campaign
 from thetatwin.conditions import Conditions
-from thetatwin.trial import live as live_module
+from thetatwin.trial import online as online_module
 from thetatwin.trial.clock import clock_error_um
-from thetatwin.trial.live import LiveReadings, live_error_um, live_readings
-from thetatwin.trial.loop import (
+from thetatwin.trial.many_machines import (
     Deviation,
-    MeasuringPlan,
+    VerificationPlan,
     column_deviation_um,
     summaries,
     verify_machine,
     with_plan,
 )
-from thetatwin.virtual import VirtualMachine
+from thetatwin.trial.online import OnlineReadings, online_error_um, online_readings
+from thetatwin.virtual_machine import VirtualMachine
 
 
 def test_more_readings_make_the_points_better_and_nothing_else(standard: Conditions) -> None:
-    plan = with_plan(standard, MeasuringPlan(points=9, readings=4))
+    plan = with_plan(standard, VerificationPlan(points=9, readings=4))
     old, new = standard.tracker, plan.tracker
     assert new.u_um**2 * new.white_share == pytest.approx(old.u_um**2 * old.white_share / 4)
     assert new.u_um**2 * new.sweep_share == pytest.approx(old.u_um**2 * old.sweep_share)
@@ -46,7 +46,7 @@ def test_more_readings_make_the_points_better_and_nothing_else(standard: Conditi
 
 
 def test_the_plan_sets_the_cold_block_and_the_lead(twin: Twin, standard: Conditions) -> None:
-    longer = with_plan(standard, MeasuringPlan(points=9, cold_rounds=4, lead_h=20.0))
+    longer = with_plan(standard, VerificationPlan(points=9, cold_rounds=4, lead_h=20.0))
     record = run_campaign(replace(twin, conditions=longer), plan_campaigns(twin, 1)[0])
     cold = record.truth.t_s <= record.reference_s
     assert len(np.unique(record.truth.sweep[cold & (record.truth.axis == 1)])) == 4
@@ -66,7 +66,7 @@ def test_column_deviation_of_a_known_lean_with_a_gross_error(twin: Twin) -> None
 
 def test_two_gross_errors_at_one_position_of_a_sweep_do_not_count(twin: Twin, standard: Conditions) -> None:
     """There and back at the same place: least squares would bend so far that neither stands out."""
-    nine = replace(twin, conditions=with_plan(standard, MeasuringPlan(points=9)))
+    nine = replace(twin, conditions=with_plan(standard, VerificationPlan(points=9)))
     record = run_campaign(nine, plan_campaigns(nine, 1)[0])
     truth, rng = record.truth, np.random.default_rng(4)
     error = rng.normal(0.0, 3.0, len(truth.t_s)) + 30.0 * (truth.positions_mm["Y"] - 1500.0) / 1000.0
@@ -106,10 +106,10 @@ def with_fallback() -> ModelDocument:
     return document({"Y": "+Y"}, first, zero_to_twenty, fallbacks=[fallback], form="joint")
 
 
-def ten_degrees(lost: tuple[tuple[float, frozenset[str]], ...]) -> LiveReadings:
+def ten_degrees(lost: tuple[tuple[float, frozenset[str]], ...]) -> OnlineReadings:
     """Both sensors at 20 °C at the reference, 10 K warmer from one minute on."""
     t_s = 60.0 * np.arange(1000.0)
-    return LiveReadings(Temperatures(t_s, ("a", "b"), 20.0 + 10.0 * (t_s > 0)[:, None] * np.ones(2)), None, lost)
+    return OnlineReadings(Temperatures(t_s, ("a", "b"), 20.0 + 10.0 * (t_s > 0)[:, None] * np.ones(2)), None, lost)
 
 
 def test_a_lost_sensor_is_met_by_the_fallback_without_a_jump() -> None:
@@ -117,7 +117,7 @@ def test_a_lost_sensor_is_met_by_the_fallback_without_a_jump() -> None:
     lost_s = 7200.0
     t_s = lost_s + np.array([-60.0, 0.0, DECAY_S])
     there = {"Y": np.full(3, 2000.0)}
-    out = live_error_um(with_fallback(), ten_degrees(((lost_s, frozenset({"a"})),)), t_s, there, 0.0)
+    out = online_error_um(with_fallback(), ten_degrees(((lost_s, frozenset({"a"})),)), t_s, there, 0.0)
     np.testing.assert_allclose(out[:, 0], [200.0, 200.0, 80.0 + 120.0 / np.e])
     np.testing.assert_array_equal(out[:, 1:], 0.0)
 
@@ -125,7 +125,7 @@ def test_a_lost_sensor_is_met_by_the_fallback_without_a_jump() -> None:
 def test_compensation_ends_softly_where_nothing_is_ready() -> None:
     lost = ((3600.0, frozenset({"a"})), (7200.0, frozenset({"a", "b"})))
     t_s = np.array([7200.0, 7200.0 + DECAY_S])
-    out = live_error_um(with_fallback(), ten_degrees(lost), t_s, {"Y": np.zeros(2)}, 0.0)
+    out = online_error_um(with_fallback(), ten_degrees(lost), t_s, {"Y": np.zeros(2)}, 0.0)
     before = 40.0 + 60.0 * np.exp(-3600.0 / DECAY_S)
     np.testing.assert_allclose(out[:, 0], [before, before / np.e])
 
@@ -140,13 +140,13 @@ def test_a_sensor_that_came_back_stays_lost_and_the_lead_is_used(monkeypatch: py
         def update(self, t_s: float, value: np.ndarray) -> SimpleNamespace:
             return SimpleNamespace(value_degC=value + 1.0, state=next(states))
 
-    monkeypatch.setattr(live_module, "Detector", Judge)
+    monkeypatch.setattr(online_module, "Detector", Judge)
     table = Temperatures(np.array([0.0, 60.0]), ("a", "b"), np.full((2, 2), 20.0))
     earlier = Temperatures(np.array([-120.0, -60.0]), ("a", "b"), np.full((2, 2), 15.0))
     speed = {"spindle_rpm": np.array([500.0])}
     before = LeadIn(earlier, Duty(np.array([-120.0]), speed))
     campaign = Campaign("c", CampaignSettings(), table, duty=Duty(np.array([0.0]), speed), before=before)
-    found = live_readings(campaign, ScreeningModel.__new__(ScreeningModel))
+    found = online_readings(campaign, ScreeningModel.__new__(ScreeningModel))
     assert found.lost == ((-60.0, frozenset({"a"})), (60.0, frozenset({"a", "b"})))
     assert found.ever_lost == {"a", "b"}
     np.testing.assert_array_equal(found.table.value_degC[:, 0], [16.0, 16.0, 21.0, 21.0])
@@ -158,7 +158,7 @@ def test_what_came_before_is_joined_by_the_names_of_the_sensors() -> None:
     """The loggers' columns stood in another order before the campaign began."""
     own = Temperatures(np.array([0.0, 60.0]), ("a", "b"), np.array([[20.0, 30.0], [21.0, 31.0]]))
     earlier = Temperatures(np.array([-120.0, -60.0]), ("b", "a"), np.array([[28.0, 18.0], [29.0, 19.0]]))
-    found = live_readings(Campaign("c", CampaignSettings(), own, before=LeadIn(earlier)), None)
+    found = online_readings(Campaign("c", CampaignSettings(), own, before=LeadIn(earlier)), None)
     np.testing.assert_array_equal(found.table.value_degC, [[18.0, 28.0], [19.0, 29.0], [20.0, 30.0], [21.0, 31.0]])
 
 
@@ -190,10 +190,10 @@ def test_drift_is_counted_once_by_the_models_and_by_the_clock(rigid: tuple[Rigid
     true = np.array([machine.thermal({**P0_MM, "Y": y}, t)[:3] for t, y in zip(t_s, y_mm, strict=True)])
     middle = y_mm == P0_MM["Y"]  # all of the error is drift there
     there = {"X": np.full(36, P0_MM["X"]), "Y": y_mm, "W": np.full(36, P0_MM["W"])}
-    live = live_readings(campaign, None)
+    live = online_readings(campaign, None)
     trained = train(prepared, ("Y", ""), lost=())
     for one, most in ((trained.model, 0.15), (trained.paper_model, 0.6)):
-        found = live_error_um(one, live, t_s, there, REFERENCE_S)
+        found = online_error_um(one, live, t_s, there, REFERENCE_S)
         assert left_over(found, true) < most
         assert left_over(found[middle], true[middle]) < most
     assert campaign.sweeps is not None
@@ -256,7 +256,7 @@ def test_the_models_are_those_that_analyze_stores(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.slow
 def test_a_verified_machine_loses_most_of_its_column_deviation(coarse: VirtualMachine, standard: Conditions) -> None:
-    rows = verify_machine(coarse, standard, MeasuringPlan(calibrations=4, points=9, readings=4), seed=3)
+    rows = verify_machine(coarse, standard, VerificationPlan(calibrations=4, points=9, readings=4), seed=3)
     found = {(row.method, row.direction): row for row in rows}
     assert found["default", "Z"].true_percent > 85.0
     assert found["default", "Z"].true_percent > found["one_sensor", "Z"].true_percent
