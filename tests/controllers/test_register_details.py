@@ -182,7 +182,7 @@ def test_numbers_of_axes_count_from_one_unless_set() -> None:
     axes = {"X": "+X", "Y": "+Y", "Z": "+Z", "W": "+Z"}
     four = document(axes, {"EXX": component("EXX", term(0.0, 1.0), term(0.0, 1.0), T)}, {"t": (0.0, 5.0)})
     with pytest.raises(InputError, match="axis_name: B, Q stands for two axes"):
-        make_plan(four, SinumerikSettings(axis_name={"X": "Q", "Y": "B", "Z": "Q", "W": "B"}))
+        plan_registers(four, SinumerikSettings(axis_name={"X": "Q", "Y": "B", "Z": "Q", "W": "B"}))
     assert ReplaySettings().filter_cycle_s == 0.004  # as docs/sinumerik.md states it
 
 
@@ -329,7 +329,7 @@ def test_values_have_the_places_that_a_thousandth_of_a_micrometre_needs() -> Non
         "EXX": component("EXX", *odd, T, p=(200.0, 0.0, 1000.0)),
         "EXY": component("EXY", *odd, T, p=(0.0, -500.0, 2000.0)),
     }
-    changed = make_plan(document({"X": "+X", "Y": "+Y"}, parts, {"t": (-2.0, 10.0)}), SinumerikSettings())
+    changed = plan_registers(document({"X": "+X", "Y": "+Y"}, parts, {"t": (-2.0, 10.0)}), SinumerikSettings())
     last = list(csv.reader(values_csv(changed).splitlines()))[-1]
     reference = np.ceil(1.25 * 201.23456789)
     assert last[1:] == ["0.1012346", "0.000201234568", f"{201.23456789 / reference:.9f}"]
