@@ -24,7 +24,7 @@ def left_to_history(plan: Plan) -> tuple[str, ...]:
     if not plan.model.prediction:
         return ()
     told = f" Held out it leaves (RMS): {', '.join(worse)}." if worse else ""
-    return (f"the control carries the law on key temperatures; heat history needs filters that run beside it.{told}",)
+    return (f"the control carries the law on key temperatures; heat history needs filters that run next to it.{told}",)
 
 
 def differing(plan: Plan) -> tuple[LeftOut, ...]:

@@ -118,7 +118,7 @@ def pairs(option: str, texts: Sequence[str], example: str) -> dict[str, str]:
 
 
 def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
-    """Finite numbers parted by commas. Raises InputError where the text is something else."""
+    """Finite numbers separated by commas. Raises InputError where the text is something else."""
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -128,7 +128,7 @@ def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
         raise InputError(
             [
                 problem(
-                    f"{option} {text}: expected {count} number{'s parted by commas' if count > 1 else ''}.",
+                    f"{option} {text}: expected {count} number{'s separated by commas' if count > 1 else ''}.",
                     f"write it like {option} {example}, in mm, with a decimal point.",
                 )
             ]
