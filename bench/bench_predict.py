@@ -15,7 +15,7 @@ from thetacomp.machine import Axis
 from thetacomp.model.band import Band
 from thetacomp.model.border import Border, Validity
 from thetacomp.model.document import AxisLaw, Component, ModelDocument, Reference, Term, Training
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage
 from thetacomp.model.prediction import predict
 from thetacomp.model.temperatures import Temperatures
@@ -36,7 +36,7 @@ def shape(rng: np.random.Generator, k: int) -> Leverage:
     return Leverage((0.0,) * k, (3.0,) * k, rows, tuple(rng.uniform(0.1, 3.0, DIRECTIONS_KEPT).tolist()), 0.01)
 
 
-def model_of(layout: HistoryLayout, rng: np.random.Generator) -> ModelDocument:
+def model_of(layout: InputLayout, rng: np.random.Generator) -> ModelDocument:
     k, p = sum(map(len, layout.blocks.values())), len(SENSORS)
     fades = bool(layout.time_constants_s)
     validity = Validity(shape(rng, k + p), (0.0,) * (k + p), (15.0,) * (k + p), 3.0, 1.0, 1.5, 0.9, 9, "")
@@ -71,8 +71,8 @@ def main() -> None:
     rows = Rows(np.sort(rng.uniform(0, t_s[-1], ROWS)), ("Y",) * ROWS, rng.uniform(0, 2000, ROWS))
     print(f"\nprediction of {ROWS} rows, {len(SENSORS)} sensors, {MINUTES} samples  ({RUNS} runs)")
     for name, layout in (
-        ("plain temperatures", HistoryLayout.plain(SENSORS)),
-        ("heat history, 7 lags", HistoryLayout(sensors=SENSORS, speed_powers=(), base_degC=20.0)),
+        ("plain temperatures", InputLayout.plain(SENSORS)),
+        ("heat history, 7 lags", InputLayout(sensors=SENSORS, speed_powers=(), base_degC=20.0)),
     ):
         model, seconds = model_of(layout, rng), []
         for _ in range(RUNS):

@@ -31,7 +31,7 @@ from thermal_network import network, operate  # noqa: E402
 from thetacomp.arrays import Floats  # noqa: E402
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates, rise_since  # noqa: E402
 from thetacomp.model.fallback import DECAY_S  # noqa: E402
-from thetacomp.model.filters import HistoryLayout, history_inputs  # noqa: E402
+from thetacomp.model.filters import InputLayout, history_inputs  # noqa: E402
 from thetacomp.model.temperatures import Temperatures  # noqa: E402
 from thetacomp.screening import (  # noqa: E402
     Detector,
@@ -85,7 +85,7 @@ class KeySensors:
 class History:
     """The heat-history model on the sensors of its layout."""
 
-    layout: HistoryLayout
+    layout: InputLayout
     ridge: HistoryRidge
 
     def predict(self, record: Record, value_degC: Floats, base: Floats) -> Floats:
@@ -177,7 +177,7 @@ def key_sensor_models(records: Sequence[Record], j: int) -> tuple[Fitted, Fitted
 def history_model(records: Sequence[Record], without: int | None) -> Fitted:
     """The heat-history model, or its fallback without one sensor, on every fourth sample of the training."""
     ids = records[0].temperatures.sensor_ids
-    layout = HistoryLayout(
+    layout = InputLayout(
         sensors=tuple(name for k, name in enumerate(ids) if k != without),
         base_degC=20.0,
         speed_powers=(1, 2) if records[0].speed_rpm is not None else (),

@@ -19,7 +19,7 @@ import pandas as pd
 
 from thetacomp.fitting.probe import fit_between_probes, follow_probes, probe_rows
 from thetacomp.fitting.ridge import BlockUse, HistoryRidge, history_candidates, rise_since
-from thetacomp.model.filters import HistoryLayout, history_inputs
+from thetacomp.model.filters import InputLayout, history_inputs
 
 # first rows of the six campaigns, as the data's README cuts them
 CAMPAIGN_ROWS = (0, 1951, 3871, 5791, 7711, 9631, 11115)
@@ -47,7 +47,7 @@ def read_spindle(path: Path) -> Spindle:
 
 def history_model(spindle: Spindle) -> tuple[np.ndarray, HistoryRidge]:
     """Inputs (n, inputs) since the datum, and the unfitted procedure."""
-    layout = HistoryLayout(
+    layout = InputLayout(
         sensors=tuple(f"t{k}" for k in range(1, 17)), base_degC=float(spindle.temperature_degC[0].mean())
     )
     inputs = history_inputs(layout, spindle.t_s, spindle.temperature_degC, spindle.speed_rpm)

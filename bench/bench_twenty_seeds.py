@@ -27,12 +27,12 @@ from thetatwin.mounting import load_mounting
 from thetatwin.placement_page import PLACES, placement_files
 from thetatwin.sensor_places import place_sensors
 from thetatwin.sensor_sets import read_places, with_sensors
-from thetatwin.trial.loop import Deviation, MeasuringPlan, summaries, verify_machine
-from thetatwin.virtual import VirtualMachine, build
+from thetatwin.trial.many_machines import Deviation, VerificationPlan, summaries, verify_machine
+from thetatwin.virtual_machine import VirtualMachine, build
 
 LIMIT_PERCENT = 85.0
 # A careful plan: the tracker stands beside the machine, so that the small deviation, X, lies along its beam.
-PLAN = MeasuringPlan(
+PLAN = VerificationPlan(
     calibrations=16, points=9, readings=4, station_mm=(-3000.0, 2500.0, -2500.0), cold_rounds=4, lead_h=20.0
 )
 OWN, CHOSEN = "own", "chosen"
@@ -44,7 +44,7 @@ _machine: VirtualMachine | None = None  # inherited by the processes: it holds s
 
 def main(arguments: Sequence[str] = ()) -> None:
     asked = _options().parse_args(arguments)
-    plan = MeasuringPlan(
+    plan = VerificationPlan(
         calibrations=asked.calibrations,
         points=asked.points,
         readings=asked.readings,
@@ -102,7 +102,7 @@ def _built(conditions: Conditions, sensors: str, places: Path | None) -> Virtual
 
 
 def _verified(
-    machine: VirtualMachine, conditions: Conditions, plan: MeasuringPlan, asked: argparse.Namespace
+    machine: VirtualMachine, conditions: Conditions, plan: VerificationPlan, asked: argparse.Namespace
 ) -> list[Deviation]:
     """All machines, in several processes; `fork` hands the machine on as it is."""
     global _machine
@@ -117,7 +117,7 @@ def _verified(
     return rows
 
 
-def _verify(job: tuple[Conditions, MeasuringPlan, int]) -> list[Deviation]:
+def _verify(job: tuple[Conditions, VerificationPlan, int]) -> list[Deviation]:
     assert _machine is not None
     return verify_machine(_machine, *job)
 

@@ -52,11 +52,18 @@ class Room:
 
 ROOMS = {
     "separation": Room(("separation",), ("separation",), "intervals or test_bend or white_noise"),
-    "reading": Room(("reading",), ("reading",), "random or spoilt_character or round_trip or damaged"),
+    "reading": Room(
+        ("reading",),
+        ("reading", "standards/test_iso230_pages.py"),
+        "random or spoilt_character or round_trip or damaged",
+    ),
     "verification": Room(("verification",), ("verification",), "test_verify"),
     "controllers": Room(("controllers",), ("controllers",), "machine_folder"),
     "standards": Room(("standards",), ("standards",)),
-    "labels": Room(("screening/labels.py", "screening/held_labels.py"), ("screening/test_screening_labels.py",)),
+    "labels": Room(
+        ("screening/campaign_labels.py", "screening/held_labels.py"),
+        ("screening/test_screening_labels.py",),
+    ),
     "tracker": Room(("tracker",), ("tracker",)),
     "model": Room(("model",), ("model", "fitting/test_validity.py", "fitting/test_models.py")),
     "fitting": Room(("fitting",), ("fitting",)),

@@ -157,7 +157,7 @@ def measure_separate(bench: Bench) -> None:
     bench.predict_by_command("separate", [requests[2]])
     model = "separate-results/model.json"
     bench.tell("separate/export", "export", model, "--target", "sinumerik", "--out", "separate-control")
-    bench.tell("separate/keypoints paper", "keypoints", "separate", "--method", "paper")
+    bench.tell("separate/keypoints paper", "keypoints", "separate", "--method", "paper", "--mix")
     machines.add_compensated(folder, third)
     bench.tell("separate/verify", "verify", "separate", "--off", first, "--on", "on", "--out", "separate-verification")
 

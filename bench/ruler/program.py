@@ -20,7 +20,7 @@ import numpy as np
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 HOMES: dict[str, tuple[str, ...]] = {
-    "load_model": ("thetacomp", "thetacomp.model.document", "thetacomp.models.document"),
+    "load_model": ("thetacomp.model.load", "thetacomp.model.document", "thetacomp.models.document"),
     "predict": ("thetacomp.model.predict", "thetacomp.model.prediction", "thetacomp.prediction"),
     "predict_volume": ("thetacomp.model.volumetric", "thetacomp.model.predict", "thetacomp.volumetric"),
     "Temperatures": ("thetacomp.campaign", "thetacomp.data.campaign"),

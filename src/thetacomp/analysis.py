@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.fitting.key_point_law import AnyProcedure
@@ -15,9 +15,9 @@ from thetacomp.sensors.parameters import correlation_tables, parameter_table
 from thetacomp.sensors.sensor_curve import sensor_curves
 from thetacomp.temperature.field import sensor_rises
 from thetacomp.temperature.layout import layout_checks
-from thetacomp.validation.families.rows import ComparisonRow
+from thetacomp.validation.families.comparison_row import ComparisonRow
 from thetacomp.validation.judge import Judged, axis_tasks, judge
-from thetacomp.validation.rows import DEFAULT, KEY_POINTS
+from thetacomp.validation.outcome import DEFAULT, KEY_POINTS
 
 
 def analyze_folder(
@@ -28,13 +28,13 @@ def analyze_folder(
     repair: bool = True,
     mix: bool = False,
     compare: bool = False,
-) -> Analysis:
+) -> AnalysisResult:
     """Run the whole analysis of a machine folder.
 
     `train` and `test` name campaigns; by default all campaigns train and each is held out in turn. `progress` hears
-    one line a step. With `repair` the faulty temperatures and held labels that screening finds are mended or left out,
-    else only told. `mix` allows campaigns of different operating modes or active tables in one model. With
-    `compare` other families of models are fitted and judged beside the stored one, which takes minutes. Raises
+    one line a step. With `repair` the faulty temperatures and held labels that screening finds are repaired or left
+    out, else only reported. `mix` allows campaigns of different operating modes or active tables in one model. With
+    `compare` other families of models are fitted and validated alongside the stored one, which takes minutes. Raises
     AnalysisError where the measurements cannot carry an analysis.
     """
     prepared = prepare(folder, train, test, faults="repair" if repair else "tell", mix=mix, progress=progress)
@@ -44,7 +44,7 @@ def analyze_folder(
     compared, compare_notes = _compare(prepared, judged, progress) if compare else ((), ())
     tables = [parameter_table(states) for states in prepared.training]
     parameter_correlations, sensor_correlations = correlation_tables(tables)
-    return Analysis(
+    return AnalysisResult(
         folder=prepared.folder,
         rises=sensor_rises(prepared.folder),
         layout=layout_checks(prepared.folder),
@@ -69,11 +69,11 @@ def analyze_folder(
 def _compare(
     prepared: Prepared, judged: Judged, progress: Progress
 ) -> tuple[tuple[ComparisonRow, ...], tuple[str, ...]]:
-    """Families of models beside the stored one, with the folds of the main hold-out."""
+    """Families of models compared with the stored one, on the folds of the main hold-out."""
     from thetacomp.validation.families.compare import compare_families  # loads scikit-learn
     from thetacomp.validation.families.families import FAMILIES
 
-    # Fitted anew, not taken from the training: the table tells how long each takes.
+    # Fitted anew, not taken from the training: the table states how long each takes.
     standing: dict[str, AnyProcedure] = {
         DEFAULT: calibrated_history,
         KEY_POINTS: key_point_procedure(prepared.folder.machine),

@@ -11,19 +11,19 @@ from thetacomp.sensors.key_points import AxisKeyPoints
 from thetacomp.sensors.sensor_curve import SensorCurve
 from thetacomp.separation.component import ComponentSeparation
 from thetacomp.temperature.rises import LayoutCheck, SensorRise
-from thetacomp.validation.families.rows import ComparisonRow
-from thetacomp.validation.rows import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
+from thetacomp.validation.families.comparison_row import ComparisonRow
+from thetacomp.validation.outcome import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 
 
 @dataclass(frozen=True, repr=False)
-class Analysis:
+class AnalysisResult:
     """Result of one run of the analysis wing.
 
     `folder` holds the measurements as they were used, `screening` what was found faulty in them and what was done.
     `parameter_correlations` has rows such as `EYX intercept` and the sensors as columns; `sensor_correlations` is
     sensors by sensors. `held_out` is the default model on states that it has not seen. `permutations` are absent where
     too few states exist to shuffle. `angles` are the separated angles of the joint form, in µrad and µrad/m.
-    `comparison` holds families of models beside the stored one, where they were asked for; `sensor_curves` the proven
+    `comparison` holds other families of models, where they were requested; `sensor_curves` the proven
     best sensors of the axes that have enough campaigns.
     """
 

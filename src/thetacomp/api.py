@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thetacomp import analysis as spine
-from thetacomp.analysis_result import Analysis as AnalysisResult
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.arrays import CARTESIAN, Bools, Floats
 from thetacomp.campaign import MachineFolder
 from thetacomp.controllers.targets import TARGETS
@@ -30,9 +30,9 @@ from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.volumetric import VolumePrediction, predict_volume
 from thetacomp.outputs import output_folder
 from thetacomp.reading import Positions, read_duty, read_folder, read_frames, read_positions, read_temperatures
-from thetacomp.reading.lone import LoneTable
+from thetacomp.reading.single_tables import SingleTable
 from thetacomp.verification import verify_folder
-from thetacomp.verification.findings import Verification as VerificationResult
+from thetacomp.verification.outcome import VerificationResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -122,10 +122,10 @@ class Model:
 
     def predict(
         self,
-        temperatures: Temperatures | LoneTable,
-        positions: Positions | LoneTable,
+        temperatures: Temperatures | SingleTable,
+        positions: Positions | SingleTable,
         *,
-        duty: Duty | LoneTable | None = None,
+        duty: Duty | SingleTable | None = None,
         reference: Reference = "first_row",
     ) -> PredictedError:
         """The error at times and positions.
@@ -235,8 +235,8 @@ def analyze(
     """The whole analysis: separation, key points, model, validation on held-out data.
 
     By default all campaigns train and each is held out in turn. `repair` mends the faulty temperatures that screening
-    finds; `mix` lets campaigns of different modes share a model; `compare` judges other families of models beside the
-    stored one (extra `families`). `progress` hears one line a step. Raises InputError, AnalysisError.
+    finds; `mix` lets campaigns of different modes share a model; `compare` validates other families of models alongside
+    the stored one (extra `families`). `progress` hears one line a step. Raises InputError, AnalysisError.
     """
     if compare:
         require("families")

@@ -1,4 +1,4 @@
-"""The exceptions a user can meet. Every one carries a message that says what, where and how to mend it."""
+"""The exceptions a user can meet. Every one carries a message that says what, where and how to fix it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Literal
 class Problem:
     """One thing that is wrong or doubtful in the user's files.
 
-    The message names what was found and what was expected; `fix` says how to mend it.
+    The message names what was found and what was expected; `fix` says how to correct it.
     """
 
     severity: Literal["error", "warning"]
@@ -53,7 +53,7 @@ class ModelFileError(ThetacompError):
 
 
 class OutputError(ThetacompError):
-    """Something cannot be written where it shall go; what was there before is untouched."""
+    """Something cannot be written at its destination; what was there before is untouched."""
 
     def __init__(self, path: Path, what: str, fix: str) -> None:
         self.path, self.what, self.fix = path, what, fix

@@ -9,7 +9,7 @@ from thetacomp.errors import ThetacompError
 
 Extra = Literal["twin", "parquet", "families", "pandas"]
 
-# The package that tells whether an extra is installed, and what the extra is for.
+# The package that shows whether an extra is installed, and what the extra is for.
 _EXTRAS: dict[Extra, tuple[str, str]] = {
     "twin": ("skfem", "The virtual machine"),
     "parquet": ("pyarrow", "Reading Parquet files"),

@@ -1,8 +1,9 @@
-"""Files that a user keeps: written beside, flushed to the disk and renamed, so that nobody ever sees half of one."""
+"""Files that a user keeps: written to a temporary name, flushed to disk and renamed, so that none is ever partial."""
 
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import secrets
 import shutil
@@ -73,6 +74,11 @@ def write_files(folder: Path, files: Files) -> tuple[Path, ...]:
 def beside_name(path: Path, ending: str) -> Path:
     """A hidden neighbour of `path`."""
     return path.with_name(f".{path.name[:_NAME_LENGTH]}{ending}")
+
+
+def unfinished(path: Path) -> list[Path]:
+    """What runs that were killed while they wrote `path` have left beside it."""
+    return list(path.parent.glob(glob.escape(beside_name(path, ".").name) + f"*{UNFINISHED}"))
 
 
 def not_written(path: Path, exc: OSError) -> OutputError:

@@ -1,4 +1,4 @@
-"""Exchanges a folder for one that was made beside it: whoever looks, or comes after a power failure, sees one whole."""
+"""Exchanges a folder for one made next to it: a reader, even after a power failure, finds one complete folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from thetacomp.files import UNFINISHED, beside_name, flush, not_written
 
 _REPLACED = ".thetacomp-old"
 _LOCK = ".thetacomp-lock"
-_held: set[Path] = set()  # by this process: the system tells processes apart, and not their threads
+_held: set[Path] = set()  # by this process: the lock of the system distinguishes processes, but not their threads
 _guard = threading.Lock()
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
@@ -88,7 +88,7 @@ def _same_file(handle: int, path: Path) -> bool:
 
 @contextmanager
 def fresh_folder(place: Path, own: Sequence[str]) -> Iterator[Path]:
-    """An empty folder beside `place` that takes its name at the end; after an error everything is as before.
+    """An empty folder next to `place` that takes its name at the end; after an error everything is as before.
 
     Files of the old folder that match none of the patterns `own` and are not written anew are carried over.
     """

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from thetacomp.arrays import Ints
-from thetacomp.states import AxisStates
+from thetacomp.axis_states import AxisStates
 
 # Above this many states in a single campaign neighbours are nearly copies: only whole blocks are new to a model.
 MAX_SINGLE_STATES = 24

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from thetacomp.names import checked_name
+from thetacomp.safe_names import checked_name
 
 SensorRole = Literal[
     "drive", "bearing", "guide", "structure", "fluid", "ambient", "foundation", "workpiece", "reference"
@@ -69,7 +69,7 @@ class HeatSource(Strict):
 
 
 class WantedLength(Strict):
-    """Which length the machine shall make; see docs/wanted_length.md.
+    """Which length the machine is to produce; see docs/wanted_length.md.
 
     `true`: lengths are true metres, so a part is right if it is at 20 °C when cut. `workpiece`: lengths follow the
     workpiece, so a part cut warm or cold is right once it is at 20 °C. The workpiece expands by

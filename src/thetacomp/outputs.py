@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from thetacomp.errors import OutputError
-from thetacomp.files import not_written
+from thetacomp.files import not_written, unfinished
 from thetacomp.folder_exchange import fresh_folder, only_writer
 
 # A folder that holds one of these was made by thetacomp and may be exchanged for a new one.
@@ -56,6 +56,8 @@ def output_table(out: Path, inputs: Iterable[Path] = ()) -> Iterator[None]:
         if not os.access(path, os.W_OK):
             raise OutputError(out, "no right to write here.", "name another file, or change the rights.")
     with _named(out, place), only_writer(place):
+        for left in unfinished(place):  # a run was killed
+            left.unlink(missing_ok=True)
         yield
 
 

@@ -10,16 +10,16 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import MachineFolder
+from thetacomp.campaign_conditions import condition_notes, refuse_mixtures
 from thetacomp.errors import AnalysisError
-from thetacomp.mixtures import condition_notes, refuse_mixtures
 from thetacomp.screening.campaigns import ScreenedFolder, screened
 from thetacomp.separation import ComponentSeparation, Separated, separate_all
 from thetacomp.separation.reference import cold_block_notes
-from thetacomp.states import AxisStates, axis_states
 
 Faults = Literal["repair", "tell", "ignore"]
-"""What is done with faulty readings: mended or left out; only told; or not even looked for, which is faster."""
+"""What is done with faulty readings: repaired or left out; only reported; or not even looked for, which is faster."""
 
 Progress = Callable[[str], None]
 
@@ -73,7 +73,7 @@ def prepare(
     mix: bool = False,
     progress: Progress = lambda message: None,
 ) -> Prepared:
-    """Screen, separate in the one form that all campaigns carry, and put the states beside their temperatures.
+    """Screen, separate in the one form that all campaigns carry, and pair the states with their temperatures.
 
     `train` and `test` name campaigns; by default all train. `mix` allows campaigns of different operating modes or
     active tables in one model. `progress` hears one line a step. Raises AnalysisError where the campaigns may not

@@ -13,7 +13,7 @@ from xml.sax.saxutils import escape
 
 from thetacomp.errors import OutputError
 from thetacomp.files import write_file
-from thetacomp.names import name_fault
+from thetacomp.safe_names import name_fault
 
 Cell = str | float | int | None
 # Directions ("-X+Y") and places ("-500 mm, approach +") are our own texts and no formulas.

@@ -1,4 +1,4 @@
-"""A measuring campaign on the virtual machine: cold block, warm-up with sweeps, cool-down, and the truth beside it."""
+"""A measuring campaign on the virtual machine: cold block, warm-up with sweeps, cool-down, and the truth."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from thetatwin.instruments import (
     track,
 )
 from thetatwin.operation import STEP_S, History, Work, rest_state, simulate
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 NEW_YEAR = date(2026, 1, 1)
 START_HOUR = 7
@@ -41,7 +41,7 @@ Correction = Callable[[Floats, Floats, Floats, Mapping[str, Floats]], Floats]
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """One campaign before it is run. `day` counts from New Year; `kind` is "paper" or "random"."""
 
     number: int
@@ -92,11 +92,11 @@ class SweepTruth:
 class Record:
     """What was measured in a campaign, and the truth. Temperatures (n, sensors), tool errors (points, 3).
 
-    Times count from the begin of the campaign. The loggers ran `lead_s` before it: readings and `work` begin there, the
+    Times count from the start of the campaign. The loggers ran `lead_s` before it: readings and `work` begin there, the
     readings at negative times; `work_t_s` are the moments at which the minutes of `work` begin.
     """
 
-    plan: Plan
+    plan: CampaignPlan
     reference_s: float
     temperature_t_s: Floats
     temperature_degC: Floats
@@ -114,7 +114,7 @@ class Record:
         return STEP_S * np.arange(float(len(self.work.on))) - self.lead_s
 
 
-def plan_campaigns(twin: Twin, count: int) -> tuple[Plan, ...]:
+def plan_campaigns(twin: Twin, count: int) -> tuple[CampaignPlan, ...]:
     """The first campaign is the paper's run, the others are random work; days are spaced as the preset says."""
     plans, conditions = [], twin.conditions
     for k in range(count):
@@ -127,11 +127,11 @@ def plan_campaigns(twin: Twin, count: int) -> tuple[Plan, ...]:
             else ("on, later off" if chilled else "off, later on")
         )
         name = (NEW_YEAR + timedelta(days=day)).isoformat()
-        plans.append(Plan(k, name, day, "paper" if k == 0 else "random", chiller))
+        plans.append(CampaignPlan(k, name, day, "paper" if k == 0 else "random", chiller))
     return tuple(plans)
 
 
-def run_campaign(twin: Twin, plan: Plan, correction: Correction | None = None) -> Record:
+def run_campaign(twin: Twin, plan: CampaignPlan, correction: Correction | None = None) -> Record:
     """Run one campaign and measure it. A correction is added to the commanded position, so to the error as well.
 
     Each campaign has its own random stream, made from the twin's seed and the campaign's number, so the same
@@ -157,7 +157,9 @@ def run_campaign(twin: Twin, plan: Plan, correction: Correction | None = None) -
     return Record(plan, reference_s, t_s, reading, measured, work, faults, truth, history, begin_s, lead_min * STEP_S)
 
 
-def _read_before(twin: Twin, plan: Plan, history: History, begin_s: float, lead_s: float) -> tuple[Floats, Floats]:
+def _read_before(
+    twin: Twin, plan: CampaignPlan, history: History, begin_s: float, lead_s: float
+) -> tuple[Floats, Floats]:
     """Readings at negative times, of loggers that ran `lead_s` before the campaign, when no sensor was broken yet.
 
     They have a random stream of their own: with or without them the campaign comes out the same.
@@ -204,7 +206,7 @@ class Timetable:
 
 
 def _timetable(
-    machine: VirtualMachine, conditions: Conditions, plan: Plan, rng: np.random.Generator
+    machine: VirtualMachine, conditions: Conditions, plan: CampaignPlan, rng: np.random.Generator
 ) -> tuple[Timetable, Work]:
     """When every point is taken, and the minutes of work between the rounds of sweeps."""
     settings, axes = conditions.work, machine.description.axes
@@ -267,7 +269,7 @@ def as_timetable(axes: Sequence[TwinAxis], points: Sequence[Point], cold: NDArra
 
 
 def _work_block(
-    plan: Plan, phase: str, minutes: int, names: list[str], settings: WorkSettings, rng: np.random.Generator
+    plan: CampaignPlan, phase: str, minutes: int, names: list[str], settings: WorkSettings, rng: np.random.Generator
 ) -> Work:
     if phase == "cool":
         return duty.idle(minutes, names, on=1.0)
@@ -276,7 +278,7 @@ def _work_block(
     return duty.random_shift(rng, minutes, names, settings)
 
 
-def _chiller(plan: Plan, n: int, rng: np.random.Generator) -> Floats:
+def _chiller(plan: CampaignPlan, n: int, rng: np.random.Generator) -> Floats:
     change = round(n * rng.uniform(0.3, 0.6))
     first, *later = plan.chiller.split(", later ")
     out = np.full(n, 1.0 if first == "on" else 0.0)
@@ -286,7 +288,7 @@ def _chiller(plan: Plan, n: int, rng: np.random.Generator) -> Floats:
 
 
 def _live(
-    machine: VirtualMachine, conditions: Conditions, plan: Plan, work: Work, rng: np.random.Generator
+    machine: VirtualMachine, conditions: Conditions, plan: CampaignPlan, work: Work, rng: np.random.Generator
 ) -> tuple[History, float, Work]:
     """Some days before, the night, and the campaign; when the campaign starts in the history; all the work."""
     names = [a.name for a in machine.description.axes]

@@ -94,7 +94,7 @@ class Rod(Strict):
     """A screw, a scale or the spindle: a slender part with its own temperature along its length.
 
     It is tied at `from_mm` and expands freely from there to `to_mm`. It lies along `patch` and exchanges
-    `to_patch_W_per_m_K` with the face beside it.
+    `to_patch_W_per_m_K` with the neighbouring face.
     """
 
     name: str

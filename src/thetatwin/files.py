@@ -1,4 +1,4 @@
-"""Reads a bundled or a user's TOML file into its model, with every problem in it told at once."""
+"""Reads a bundled or a user's TOML file into its model, with all its problems reported at once."""
 
 from __future__ import annotations
 

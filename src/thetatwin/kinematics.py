@@ -35,7 +35,7 @@ class Stations:
     """One axis: positions of the stations (m), reference point of each pose at zero position (3,).
 
     Its rows in the output matrix are `rows` .. `rows + 6 * len(position_m)`, station by station, holding L - U.
-    `point_moves` tells whether the reference point travels with the axis (long guide below).
+    `point_moves` says whether the reference point travels with the axis (long guide below).
     """
 
     axis: str

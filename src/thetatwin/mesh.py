@@ -22,7 +22,7 @@ class Faces:
     """Boundary faces of a body, each an axis-aligned rectangle, n faces.
 
     `corners` (n, 4) are node numbers; `lo_m`, `hi_m` (n, 3) the rectangle; `normal` (n, 3) points outwards;
-    `inner` tells whether the face looks into a cavity.
+    `inner` says whether the face looks into a cavity.
     """
 
     corners: Ints
@@ -34,7 +34,7 @@ class Faces:
 
 @dataclass(frozen=True)
 class BodyMesh:
-    """`points_m` (nodes, 3), `cells` (cells, 8) in the corner order x fastest, then y, then z; faces beside it."""
+    """`points_m` (nodes, 3), `cells` (cells, 8) in the corner order x fastest, then y, then z; and its faces."""
 
     name: str
     points_m: Floats
@@ -169,7 +169,7 @@ def _boundary(points_m: Floats, cells: Ints, hollows_mm: list[Box]) -> Faces:
     outside = count[where.ravel()] == 1
     corners, normal = corners[outside], normal[outside]
     lo, hi = points_m[corners].min(axis=1), points_m[corners].max(axis=1)
-    # A point just off the face tells what the face looks at.
+    # A point just off the face shows what the face looks at.
     probe = 0.5 * (lo + hi) + normal * 1e-4
     inner = _inside_any(probe * 1e3, hollows_mm)
     return Faces(corners.astype(np.int64), lo, hi, normal, inner)
@@ -188,7 +188,7 @@ def face_weights(mesh: BodyMesh, lo_m: Floats, hi_m: Floats, normal: str = "any"
     """Integrate every node's shape function over the faces inside a box, exactly (the faces are rectangles).
 
     `normal` such as "+Y" keeps only faces that look that way. Nodes appear once; their normals are those of the
-    faces, so a part with several normals is asked for normal by normal.
+    faces, so a part with several normals is queried normal by normal.
     """
     faces = mesh.faces
     keep = np.ones(len(faces.corners), dtype=bool)

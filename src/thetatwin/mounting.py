@@ -15,7 +15,7 @@ from thetacomp.machine import Strict
 from thetatwin.description import Description, Point
 from thetatwin.files import load_toml
 from thetatwin.mesh import BodyMesh, patch_weights, sides
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 MOUNTINGS = ("tk6920_mounting",)
 _TOUCH_MM = 0.01

@@ -15,7 +15,7 @@ from thetacomp.arrays import Floats, Ints
 from thetacomp.model.temperatures import Duty
 from thetatwin.description import Bearing, Description, Oil, Source
 from thetatwin.thermal import AIR_INPUTS, COOLING_INPUT, GROUND_INPUT, air_pattern
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 STEP_S = 60.0
 SPEED = "spindle_rpm"

@@ -19,12 +19,12 @@ from matplotlib.ticker import MultipleLocator
 
 from thetacomp.arrays import Floats, Ints
 from thetatwin.campaigns import Record
-from thetatwin.labels import Label, arrange
+from thetatwin.label_placement import Label, place_labels
 from thetatwin.mesh import AXES, BodyMesh
 from thetatwin.operation import STEP_S
 from thetatwin.raster import Canvas, contour_lines, paint, smaller
 from thetatwin.sensor_sets import PLACED
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 # Where the eye stands: in front of the machine on the headstock's side, and behind it on the other side.
 FRONT, BACK = (-0.62, 0.42, -0.66), (0.62, 0.42, 0.66)
@@ -133,7 +133,7 @@ def sensor_marks(machine: VirtualMachine, color: str = "white") -> tuple[Mark, .
 
 
 def _short(sensor: str) -> str:
-    """An id as it is written beside its dot; a chosen place has its rank, as in the picture of `thetacomp place`."""
+    """An id as it is written next to its dot; a chosen place has its rank, as in the picture of `thetacomp place`."""
     return sensor.removeprefix(PLACED).replace("theta_", "θ")
 
 
@@ -272,7 +272,7 @@ def _draw_marks(axes: Axes, marks: Sequence[tuple[Mark, Floats, bool]]) -> None:
     pixels = axes.transData.transform(points) if len(points) else points
     point_px = axes.figure.dpi / 72.0
     texts = [Label(mark.label, (float(x), float(y))) for (mark, _, _), (x, y) in zip(marks, pixels, strict=True)]
-    labels = arrange(texts, _LABEL_PT * point_px)
+    labels = place_labels(texts, _LABEL_PT * point_px)
     for (mark, place, seen), (dx, dy) in zip(marks, labels, strict=True):
         spot = (float(place[0]), float(place[1]))
         opacity = 1.0 if seen else 0.5

@@ -1,4 +1,4 @@
-"""Where sensors tell most: greedy choice by low-rank updates, exact choice for small cases, and what is left unknown.
+"""Where sensors are most informative: greedy choice by low-rank updates, exact for small cases, what is left unknown.
 
 The thermal field is x in r modes with mean zero and unit covariance. A sensor reads a x plus noise of standard
 deviation σ, the tool moves by C x. After readings of rows A the covariance of x is
@@ -46,7 +46,7 @@ class Spacing:
 
 
 def field_of_modes(rows_K: Floats, outputs_um: Floats, covariance: Floats, modes: int) -> Field:
-    """The field in its strongest joint modes.
+    """The field in its strongest shared modes.
 
     `rows_K` (n, R) and `outputs_um` (q, R) act on R coordinates of this `covariance` (R, R). Temperatures and
     displacements are each scaled to unit total variance, so that neither decides alone which modes count.
@@ -55,8 +55,8 @@ def field_of_modes(rows_K: Floats, outputs_um: Floats, covariance: Floats, modes
     root = turn * np.sqrt(np.maximum(size, 0.0))
     heat = root.T @ (rows_K.T @ rows_K) @ root
     motion = root.T @ (outputs_um.T @ outputs_um) @ root
-    joint = sum(part / np.trace(part) for part in (heat, motion) if np.trace(part) > 0)
-    _, vectors = np.linalg.eigh(np.asarray(joint))
+    combined = sum(part / np.trace(part) for part in (heat, motion) if np.trace(part) > 0)
+    _, vectors = np.linalg.eigh(np.asarray(combined))
     lead = root @ vectors[:, ::-1][:, :modes]
     return Field(np.ascontiguousarray(rows_K @ lead), np.asarray(outputs_um @ lead))
 
@@ -65,13 +65,13 @@ def greedy(field: Field, noise_K: float, count: int, goal: Goal, spacing: Spacin
     """Places (count,) one after the other, each time the one that helps the goal most with those already chosen.
 
     Each step costs O(n (r + min(q, r))). For "information" the result holds at least 1 - 1/e of the best
-    log det (Nemhauser, Wolsey, Fisher 1978, when no spacing is asked for); for "displacement" there is no such bound.
+    log det (Nemhauser, Wolsey, Fisher 1978, when no spacing is required); for "displacement" there is no such bound.
     Raises AnalysisError where fewer than `count` places are left.
     """
     rows, outputs = field.rows_K, _compact(field.outputs_um)
     covariance = np.eye(rows.shape[1])
     variance = np.einsum("ij,ij->i", rows, rows)
-    # Variance of the tool that each place would explain: |C P a|², kept up to date beside aᵀ P a.
+    # Variance of the tool that each place would explain: |C P a|², kept up to date along with aᵀ P a.
     cross = rows @ outputs.T if goal == "displacement" else np.zeros((len(rows), 0))
     free = np.ones(len(rows), dtype=bool)
     chosen = np.empty(count, dtype=np.int64)

@@ -10,7 +10,7 @@ from thetacomp.report import style
 from thetacomp.report.style import NamedFigure
 from thetatwin.picture import BACK, FRONT, Mark, machine_figure, sensor_marks, warm_machine
 from thetatwin.sensor_places import STRATEGIES, Placement
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 _CHOSEN = "#ffd54a"
 _COLORS = {

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thetacomp.arrays import Floats
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import draw
 from thetacomp.table_file import Number, csv_text, fixed
 from thetatwin.conditions import Conditions
 from thetatwin.mounting import Mounting
 from thetatwin.placement_figures import accuracy, machine_with_sensors
 from thetatwin.sensor_places import STRATEGIES, Placement, existing_margin_um
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 PLACES, ACCURACY, PAGE = "places.csv", "accuracy.csv", "placement.html"
 OWN = (PLACES, ACCURACY, PAGE, "figures/machine.*", "figures/accuracy.*")

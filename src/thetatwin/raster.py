@@ -98,7 +98,7 @@ def contour_lines(canvas: Canvas, step: float) -> NDArray[np.bool_]:
         ahead, here = [slice(None)] * 2, [slice(None)] * 2
         ahead[axis], here[axis] = slice(1, None), slice(None, -1)
         a, b = tuple(ahead), tuple(here)
-        with np.errstate(invalid="ignore"):  # empty beside empty: -inf less -inf
+        with np.errstate(invalid="ignore"):  # both empty: -inf less -inf
             same = np.abs(canvas.depth[a] - canvas.depth[b]) < 4 * canvas.step_m
         # A jump by more than one level is an edge between faces, not a line on one.
         passes = same & (np.abs(level[a] - level[b]) == 1) & np.isfinite(canvas.value[a] + canvas.value[b])

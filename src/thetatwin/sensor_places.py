@@ -24,7 +24,7 @@ from thetatwin.placement import (
     greedy,
     value,
 )
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 MODES = 30
 CHOOSE_DAYS, JUDGE_DAYS = (0, 181), (181, 184)  # first day of the year and number of days
@@ -62,7 +62,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class GreedyCheck:
-    """Greedy beside exact on a small random set of candidates.
+    """Greedy against exact choice on a small random set of candidates.
 
     `share` of the best value that greedy reaches; `error_ratio` its error of the tool over the smallest possible one
     (1 for "information", which promises no error).
@@ -77,7 +77,7 @@ class GreedyCheck:
 
 @dataclass(frozen=True)
 class Placement:
-    """Everything that `thetacomp place` tells.
+    """Everything that `thetacomp place` reports.
 
     `existing_ids` are the sensors of the description, the most useful first, with their `existing` curve; `random_um`
     (k + 1, 4) is the median over random sets; `nearest_id` and `nearest_mm` name the existing sensor nearest to each
@@ -194,7 +194,7 @@ def _nearest(machine: VirtualMachine, free: Candidates) -> tuple[tuple[str, ...]
 
 
 def _checks(rng: np.random.Generator, field: Field, noise_K: float) -> tuple[GreedyCheck, ...]:
-    """Greedy beside every subset of a few candidates."""
+    """Greedy choice against every subset of a few candidates."""
     n = min(_CHECK_CANDIDATES, len(field.rows_K))
     few = Field(field.rows_K[np.sort(rng.choice(len(field.rows_K), n, replace=False))], field.outputs_um)
     total = float(np.sum(few.outputs_um**2))

@@ -14,7 +14,7 @@ from thetatwin.description import Description, Lump, Source, TwinSensor
 from thetatwin.mesh import BodyMesh, mesh_body, nearest_surface_node, sides
 
 PLACED = "place_"  # ids are place_1, place_2, …: the rank, and no mistaking them for the publication's theta_1 …
-FARTHEST_MM = 5.0  # places.csv is rounded to 0.1 mm; nodes are many times farther apart
+FARTHEST_MM = 5.0  # places.csv is rounded to 0.1 mm; distances of nodes are many times larger
 _NUMBERS = ("rank", "x_mm", "y_mm", "z_mm")
 _COLUMNS = ("strategy", "rank", "part", "x_mm", "y_mm", "z_mm")
 _WRITTEN_BY = "use a places.csv as `thetacomp place` writes it"

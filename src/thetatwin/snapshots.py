@@ -12,7 +12,7 @@ from thetatwin.conditions import Conditions, Pt100
 from thetatwin.hall import hall_inputs, yearly_degC
 from thetatwin.operation import STEP_S, Work, rest_state, simulate
 from thetatwin.thermal import AIR_INPUTS
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 HOUR_MIN = 60
 SETTLE_DAYS = 3  # the guess at the first state has faded by then

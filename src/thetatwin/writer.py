@@ -13,7 +13,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.files import Files, write_files
 from thetacomp.outputs import output_folder
 from thetacomp.table_file import csv_text, fixed
-from thetatwin.campaigns import NEW_YEAR, START_HOUR, Plan, Record, Twin, run_campaign
+from thetatwin.campaigns import NEW_YEAR, START_HOUR, CampaignPlan, Record, Twin, run_campaign
 from thetatwin.mesh import AXES
 
 _AXIS_DRIFT = -1
@@ -21,7 +21,7 @@ _TRUTH_POSITIONS = 25
 
 
 def truth_folder(folder: Path) -> Path:
-    """Where the truth of a machine folder lies: beside it, never inside."""
+    """Where the truth of a machine folder lies: next to it, never inside."""
     return folder.with_name(folder.name + "-truth")
 
 
@@ -33,7 +33,7 @@ def refuse_filled(folder: Path) -> None:
 
 
 def write_twin(
-    folder: Path, twin: Twin, plans: Sequence[Plan], pictures: Callable[[Record], Files] = lambda record: {}
+    folder: Path, twin: Twin, plans: Sequence[CampaignPlan], pictures: Callable[[Record], Files] = lambda record: {}
 ) -> tuple[Record, ...]:
     """Run the planned campaigns and write both folders, each whole; `pictures` of the first campaign go to the truth.
 

@@ -13,7 +13,7 @@ from thetatwin import duty
 from thetatwin.campaigns import (
     DAYS_BEFORE,
     NEW_YEAR,
-    Plan,
+    CampaignPlan,
     Point,
     Record,
     Twin,
@@ -185,7 +185,7 @@ def _training(
         a, b = (round(s / STEP_S) + DAYS_BEFORE * duty.MINUTES_A_DAY for s in (begin_s, end_s))
         records.append(
             Record(
-                plan=Plan(number, name, day, "usual", "as usual"),
+                plan=CampaignPlan(number, name, day, "usual", "as usual"),
                 reference_s=float(np.ceil(truth.t_s[cold].max())),
                 temperature_t_s=readings.t_s[own] - begin_s,
                 temperature_degC=readings.value_degC[own],

@@ -1,7 +1,7 @@
 """LinuxCNC's interpreter as two tests see it: what a program makes the machine do, call by call, in mm and s.
 
 `rs274` is the stand-alone interpreter; it knows no axes U, V, W. LinuxCNC's own front end reads programs through the
-same library (`librs274`) by its Python module `gcode`, which does know them, but tells nothing of the spindle.
+same library (`librs274`) by its Python module `gcode`, which does know them, but says nothing of the spindle.
 """
 
 from __future__ import annotations

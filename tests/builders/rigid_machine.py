@@ -33,7 +33,7 @@ NAMES = tuple(axis.name for axis in AXES)
 P0_MM = {axis.name: float(np.mean(axis.travel_mm)) for axis in AXES}
 UNIT = {axis.name: np.eye(3)["XYZ".index(axis.cartesian)] for axis in AXES}
 TOOL_MM = 200.0
-# Where each joint stands in the body before it, in mm: arms that no axis position tells.
+# Where each joint stands in the body before it, in mm: arms that no axis position includes.
 BASE_MM = {"X": np.array([0.0, 400.0, 0.0]), "Y": np.array([-150.0, 900.0, 250.0]), "W": np.array([0.0, 80.0, -700.0])}
 ROUND_S, SWEEP_S, REFERENCE_S = 3600.0, 600.0, 2400.0
 # Where the other axes stand while one is swept: away from P0, so that their tilt is in every intercept.

@@ -1,4 +1,4 @@
-"""Builds complete, plausible `Analysis` objects without any other part of the program.
+"""Builds complete, plausible `AnalysisResult` objects without any other part of the program.
 
 The numbers come from known temperatures, geometry, slopes and intercepts with noise from a seeded generator; the
 model is plain least squares on them and the validation leaves one campaign (or one state) out. They serve to draw
@@ -13,20 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from small_models import Part
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, CampaignSettings, CorrelationTable, Drift, MachineFolder
 from thetacomp.machine import Axis, HeatSource, Machine, Sensor, SensorRole
 from thetacomp.model.border import Border
 from thetacomp.model.document import AxisLaw, Term
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.format_1 import from_format_1
 from thetacomp.model.leverage import regression_leverage
 from thetacomp.model.temperatures import Duty, Temperatures
-from thetacomp.sensors.key_points import AxisKeyPoints, StrategyTable, Verdict
+from thetacomp.sensors.key_points import AxisKeyPoints, StrategyDecision, StrategyTable
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, LinearityTest, Points
 from thetacomp.temperature.rises import LayoutCheck, SensorRise
-from thetacomp.validation.rows import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
+from thetacomp.validation.outcome import AcceptanceCheck, HeldOutStates, PermutationTest, ValidationRow
 
 HOUR_S = 3600.0
 
@@ -252,19 +252,20 @@ def _key_points(axis: str, key: str, sensors: Sequence[str]) -> AxisKeyPoints:
     kept = sensors[:6] if key in sensors[:6] else (*sensors[:5], key)
     first = StrategyTable(
         "main factor", axis, "largest regret (-)",
-        tuple(Verdict(s, s in kept, 0.04 if s in kept else 0.31, "follows the heavy parameters" if s in kept
+        tuple(StrategyDecision(s, s in kept, 0.04 if s in kept else 0.31, "follows the heavy parameters" if s in kept
                       else "weak relation to EYY slope") for s in sensors),
     )  # fmt: skip
     second = StrategyTable(
         "mutual irrelevance", axis, "largest |r| to a kept sensor (-)",
-        tuple(Verdict(s, s == key, 0.0 if s == key else 0.97, "sits on the drive of the moving axis" if s == key
+        tuple(StrategyDecision(s, s == key, 0.0 if s == key else 0.97,
+                      "sits on the drive of the moving axis" if s == key
                       else f"has the same information as {key}") for s in kept),
     )  # fmt: skip
     third = StrategyTable(
         "fewest sensors",
         axis,
         "held-out RMS (µm)",
-        (Verdict(key, True, 8.3, "a second sensor lowers the held-out RMS by less than one standard error"),),
+        (StrategyDecision(key, True, 8.3, "a second sensor lowers the held-out RMS by less than one standard error"),),
     )
     return AxisKeyPoints(
         axis, "weighted regret", tuple(kept), (tuple(kept),), (key,), 0.91, (first, second, third),
@@ -272,7 +273,9 @@ def _key_points(axis: str, key: str, sensors: Sequence[str]) -> AxisKeyPoints:
     )  # fmt: skip
 
 
-def _assemble(folder: MachineFolder, parts: Sequence[ComponentSeparation], keys: dict[str, str], sign: str) -> Analysis:
+def _assemble(
+    folder: MachineFolder, parts: Sequence[ComponentSeparation], keys: dict[str, str], sign: str
+) -> AnalysisResult:
     """Model, validation and the tables around the given separations."""
     components: dict[str, Part] = {}
     validation: list[ValidationRow] = []
@@ -328,7 +331,7 @@ def _assemble(folder: MachineFolder, parts: Sequence[ComponentSeparation], keys:
         HeldOutStates(s.component, s.campaign, s.t_s, np.abs(s.intercept_um), 0.2 * np.abs(s.intercept_um))
         for s in parts
     )
-    return Analysis(
+    return AnalysisResult(
         held_out=held_out,
         folder=folder, rises=_rises(folder), layout=_layout(folder.machine), separations=tuple(parts),
         parameter_correlations=_correlation(states, columns), sensor_correlations=_correlation(columns, columns),
@@ -366,7 +369,7 @@ def _layout(machine: Machine) -> tuple[LayoutCheck, ...]:
 
 
 def sweeps_analysis(name: str = "TK6920", campaigns: Sequence[str] = ("2026-03-02", "2026-03-09"),
-                    states: int = 9) -> Analysis:  # fmt: skip
+                    states: int = 9) -> AnalysisResult:  # fmt: skip
     """Three moving axes, fifteen sensors, measured points, geometry in both directions."""
     ids = tuple(s[0] for s in SENSORS)
     measured, parts = [], []
@@ -388,7 +391,7 @@ def sweeps_analysis(name: str = "TK6920", campaigns: Sequence[str] = ("2026-03-0
     return _assemble(MachineFolder(machine(name), tuple(measured)), parts, KEY_OF_AXIS, "stated")
 
 
-def parameters_analysis() -> Analysis:
+def parameters_analysis() -> AnalysisResult:
     """Published parameters only: a campaign for each axis with one temperature, correlations 18 x 14 with gaps."""
     measured, parts = [], []
     for c, (axis, key) in enumerate(KEY_OF_AXIS.items()):
@@ -413,7 +416,7 @@ def parameters_analysis() -> Analysis:
     )  # fmt: skip
 
 
-def drift_analysis(rows: int = 11115, campaigns: int = 6) -> Analysis:
+def drift_analysis(rows: int = 11115, campaigns: int = 6) -> AnalysisResult:
     """A long recording of the tool at a fixed position, cut into campaigns; no axes are described."""
     ids = tuple(f"t{k}" for k in range(1, 17))
     spindle = Machine(name="spindle test bench", sensors=tuple(Sensor(id=i, role="structure") for i in ids))
@@ -430,7 +433,7 @@ def drift_analysis(rows: int = 11115, campaigns: int = 6) -> Analysis:
     return _assemble(MachineFolder(spindle, tuple(measured)), parts, {"": "t5"}, "stated")
 
 
-def chinese_analysis() -> Analysis:
+def chinese_analysis() -> AnalysisResult:
     """A machine with Chinese names."""
     analysis = sweeps_analysis(name="重型落地铣镗床 TK6920", campaigns=("第一次热机",))
     sensors = tuple(
@@ -440,17 +443,17 @@ def chinese_analysis() -> Analysis:
     return replace(analysis, folder=replace(analysis.folder, machine=renamed))
 
 
-def one_state_analysis() -> Analysis:
+def one_state_analysis() -> AnalysisResult:
     """One campaign with one state only: nothing can be fitted, every figure must still be drawn or left out."""
     return sweeps_analysis(campaigns=("2026-03-02",), states=1)
 
 
-def nasty_names_analysis() -> Analysis:
+def nasty_names_analysis() -> AnalysisResult:
     """Names that would break HTML or SVG if they were not escaped."""
     return sweeps_analysis(name='<script>alert("x")</script> & Söhne', campaigns=('A < B & "C"',), states=4)
 
 
-def no_key_point_analysis() -> Analysis:
+def no_key_point_analysis() -> AnalysisResult:
     """No sensor predicts what happens while Y moves: its components have no input and predict no error at all."""
     analysis = sweeps_analysis(states=5)
     law = analysis.model.control["Y"]
@@ -463,7 +466,7 @@ def no_key_point_analysis() -> Analysis:
         for name, component in law.components.items()
     }  # fmt: skip
     nothing = law.model_copy(
-        update={"layout": HistoryLayout.plain(()), "reference": law.reference.model_copy(update={"inputs": ()}),
+        update={"layout": InputLayout.plain(()), "reference": law.reference.model_copy(update={"inputs": ()}),
                 "leverage": law.leverage.of_inputs(()), "border": Border(), "components": components}
     )  # fmt: skip
     points = tuple(replace(p, key_points=()) if p.axis == "Y" else p for p in analysis.key_points)
@@ -501,12 +504,12 @@ def _two_inputs(law: AxisLaw, folder: MachineFolder, parts: Sequence[ComponentSe
     reference = law.reference.model_copy(update={"inputs": tuple(float(start[sensors.index(i)]) for i in inputs)})
     border = Border(dict.fromkeys(inputs, (19.0, 31.5)), dict.fromkeys(inputs, (0.0, 12.0)))
     return law.model_copy(
-        update={"layout": HistoryLayout.plain(inputs), "reference": reference, "leverage": shapes[0],
+        update={"layout": InputLayout.plain(inputs), "reference": reference, "leverage": shapes[0],
                 "border": border, "components": components}
     )  # fmt: skip
 
 
-def two_inputs_analysis() -> Analysis:
+def two_inputs_analysis() -> AnalysisResult:
     """A model with two inputs for every component, as the choice of sensors often ends."""
     analysis = sweeps_analysis()
     control = {

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from thetacomp.arrays import Floats, Ints
-from thetacomp.model.filters import HistoryLayout, history_inputs
+from thetacomp.model.filters import InputLayout, history_inputs
 
 NODES = 11
 SENSED = 8
@@ -42,7 +42,7 @@ SUMMER = Season(mean_degC=28.0, scatter_K=1.5, swing_K=(3.0, 6.0), sun_K_per_h=6
 class Recording:
     """Campaigns one after another: n samples. `t_s` counts from the start of each campaign, whose number is `campaign`.
 
-    `temperature_degC` (n, 8) as the sensors tell it, `displacement_um` (n,) since the campaign's start as measured.
+    `temperature_degC` (n, 8) as the sensors read it, `displacement_um` (n,) since the campaign's start as measured.
     """
 
     t_s: Floats
@@ -153,10 +153,10 @@ def synthetic_machine(rng: np.random.Generator) -> SyntheticMachine:
     return SyntheticMachine(exchange, air, source, placement, weight)
 
 
-LAYOUT = HistoryLayout(sensors=SENSORS, time_constants_s=(1800.0, 7200.0), speed_powers=(), base_degC=20.0)
+LAYOUT = InputLayout(sensors=SENSORS, time_constants_s=(1800.0, 7200.0), speed_powers=(), base_degC=20.0)
 
 
-def inputs_of(recording: Recording, layout: HistoryLayout = LAYOUT) -> Floats:
+def inputs_of(recording: Recording, layout: InputLayout = LAYOUT) -> Floats:
     """Inputs of the model (n, inputs): every campaign counts from its own first sample."""
     columns = [SENSORS.index(name) for name in layout.sensors]
     parts = []

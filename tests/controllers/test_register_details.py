@@ -26,7 +26,7 @@ from thetacomp.controllers.replay import (
     replay,
     sample_and_hold,
 )
-from thetacomp.controllers.sinumerik import Plan, ReplaySettings, SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik import RegisterPlan, ReplaySettings, SinumerikSettings, plan_registers
 from thetacomp.controllers.sinumerik_files import (
     law_in_digits,
     number,
@@ -72,8 +72,8 @@ def mill(parts: Mapping[str, Part] = PARTS, axes: str = "XYZ", **more: object) -
     return document({axis: f"+{axis}" for axis in axes}, parts, {"t": (-2.0, 10.0)}, **more)  # type: ignore[arg-type]
 
 
-def plan(**settings: object) -> Plan:
-    return make_plan(mill(), SinumerikSettings.model_validate(settings))
+def plan(**settings: object) -> RegisterPlan:
+    return plan_registers(mill(), SinumerikSettings.model_validate(settings))
 
 
 # --- the plan ---------------------------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ def test_the_grid_covers_the_workpiece_too(
     length = WantedLength(
         wanted="workpiece", workpiece_expansion_per_K=11.5e-6, workpiece_sensor=sensor, workpiece_degC=range_degC
     )
-    grid = make_plan(mill().model_copy(update={"length": length}), SinumerikSettings()).grid_degC
+    grid = plan_registers(mill().model_copy(update={"length": length}), SinumerikSettings()).grid_degC
     assert {name: (values[0], values[-1]) for name, values in grid.items()} == expected
     assert all(len(values) == 10 for values in grid.values())
 
@@ -139,7 +139,7 @@ def test_a_register_that_follows_the_workpiece_is_clamped_by_both_and_zero_at_it
         wanted="workpiece", workpiece_expansion_per_K=11.5e-6, workpiece_sensor="part", workpiece_degC=(15.0, 30.0),
         zero_mm={"X": 700.0},
     )  # fmt: skip
-    made = make_plan(mill().model_copy(update={"length": length}), SinumerikSettings())
+    made = plan_registers(mill().model_copy(update={"length": length}), SinumerikSettings())
     x, y, z = made.axes
     assert x.clamp_tan_beta == pytest.approx(250e-6 + 115e-6)
     assert x.clamp_k0_mm == pytest.approx(0.125 + 115e-6 * 500.0)
@@ -156,7 +156,7 @@ def test_a_register_that_follows_the_workpiece_is_clamped_by_both_and_zero_at_it
 def test_without_an_axis_along_the_direction_the_drift_is_that_of_the_column() -> None:
     """X has no error of its own: what the sweep along Y saw counts, whatever comes first in machine and model."""
     parts = {name: PARTS[name] for name in ("EXZ", "EXY")}
-    (x, *_) = make_plan(mill(parts, "XZY"), SinumerikSettings()).axes
+    (x, *_) = plan_registers(mill(parts, "XZY"), SinumerikSettings()).axes
     assert (x.axis.name, x.drift_source, x.slope_source) == ("X", "EXY", None)
 
 
@@ -164,9 +164,9 @@ def test_the_drift_of_a_joint_model_is_not_chosen() -> None:
     """It is the one of its own component; an axis named for it is refused, its own name is as good as none."""
     joint = mill(PARTS | {"DX": component("DX", term(0.0, 7.0), None, T)}, form="joint")
     with pytest.raises(InputError, match=r"drift_source\.X = 'EXX': the model is in the joint form, its drift is DX"):
-        make_plan(joint, SinumerikSettings(drift_source={"X": "EXX"}))
+        plan_registers(joint, SinumerikSettings(drift_source={"X": "EXX"}))
     for settings in (SinumerikSettings(), SinumerikSettings(drift_source={"X": "DX"})):
-        plan = make_plan(joint, settings)
+        plan = plan_registers(joint, settings)
         assert (plan.axes[0].drift_source, plan.left_out) == ("DX", ())
 
 
@@ -218,7 +218,7 @@ def test_the_sheet_names_the_workpiece_where_a_register_follows_it() -> None:
     length = WantedLength(
         wanted="workpiece", workpiece_expansion_per_K=11.5e-6, workpiece_sensor="part", workpiece_degC=(15.0, 30.0)
     )
-    sheet = commissioning_sheet(make_plan(mill().model_copy(update={"length": length}), SinumerikSettings()))
+    sheet = commissioning_sheet(plan_registers(mill().model_copy(update={"length": length}), SinumerikSettings()))
     rows = part(sheet, "1 What goes where", "2 Steps")[:2]
     assert [row[2:4] for row in rows] == [
         ["intercept of EXX", "slope of EXX, expansion of the workpiece (part)"],
@@ -253,7 +253,7 @@ def test_sheet_and_program_write_each_law_with_the_digits_that_its_farthest_poin
 
     So 4.6 mK are 0.046 and 0.074 µm; 2.9 mK 0.029, 0.046 and 0.17; 0.8 mK 0.048 in the lean.
     """
-    made = make_plan(inexact(reference), SinumerikSettings())
+    made = plan_registers(inexact(reference), SinumerikSettings())
     short = f"{reference:.2f}"
     expected = {
         "K0 of X1, mm": f"0.0 + 0.01·(t − {k0})",
@@ -317,9 +317,26 @@ def test_values_at_the_states_are_those_of_the_law_in_table_and_program() -> Non
     assert [float(cell) for cell in lines[begin + 11].split()[1:]] == [30.0, 0.1, 0.0002, -0.8, 0.8]
 
 
+def test_values_have_the_places_that_a_thousandth_of_a_micrometre_needs() -> None:
+    """K0 in mm to 1e-7, tanβ to 1e-12, a weight to 1e-9; 10 K times factors of many digits."""
+    made = mill()
+    odd = term(0.0, 10.123456789), term(0.0, 20.123456789)
+    parts = {
+        "EXX": component("EXX", *odd, T, p=(200.0, 0.0, 1000.0)),
+        "EXY": component("EXY", *odd, T, p=(0.0, -500.0, 2000.0)),
+    }
+    changed = plan_registers(made.model_copy(update={"components": parts}), SinumerikSettings())
+    last = list(csv.reader(values_csv(changed).splitlines()))[-1]
+    reference = np.ceil(1.25 * 201.23456789)
+    assert last[1:] == ["0.1012346", "0.000201234568", f"{201.23456789 / reference:.9f}"]
+    lines = temperature_program(changed).splitlines()
+    begin = next(i for i, line in enumerate(lines) if "--- 4" in line)
+    assert lines[begin + 11].split()[2:] == last[1:]
+
+
 def test_a_program_has_no_line_beyond_what_a_control_reads() -> None:
     """Seven registers and more go into several tables of six columns."""
-    lines = temperature_program(make_plan(three_axes(), SinumerikSettings())).splitlines()
+    lines = temperature_program(plan_registers(three_axes(), SinumerikSettings())).splitlines()
     begin = next(i for i, line in enumerate(lines) if "--- 4" in line)
     heads = [line.split()[1:] for line in lines[begin:] if "_degC" in line]
     registers = [[name for name in head if not name.endswith("_degC")] for head in heads]
@@ -343,7 +360,7 @@ def test_sign_tests_are_made_at_the_end_that_is_farther_from_p0() -> None:
     laws = dict(other.control)
     for axis in ("X", "Z"):
         laws[axis] = laws[axis].model_copy(update={"p0_mm": 900.0, "p_max_mm": 1000.0, "p_min_mm": -20.0})
-    _, tan_beta, _, z = sign_tests(make_plan(other.model_copy(update={"control": laws}), SinumerikSettings()))
+    _, tan_beta, _, z = sign_tests(plan_registers(other.model_copy(update={"control": laws}), SinumerikSettings()))
     assert (tan_beta.where, z.where) == ("X1 at -20.0 mm", "Z1 at -20.0 mm")
     # 100 µm/m over -920 mm is -0.092 mm: the weight is negative, the tool moves against +10 µm of error all the same.
     assert z.enter == "$SN_CEC_TABLE_WEIGHT[1] = -0.108696"
@@ -354,7 +371,7 @@ def test_the_farther_end_counts_from_p0_not_from_the_scale() -> None:
     """From 600 mm it is 150 mm to the upper end at 750 and 100 to the lower one at 500; halfway the upper one."""
     for p0_mm, end_mm in ((600.0, 750.0), (650.0, 500.0), (625.0, 750.0)):
         changed = mill(PARTS | {"EXZ": PARTS["EXZ"] | {"p0_mm": p0_mm, "p_min_mm": 500.0, "p_max_mm": 750.0}})
-        assert sign_tests(make_plan(changed, SinumerikSettings()))[-1].where == f"Z1 at {end_mm} mm"
+        assert sign_tests(plan_registers(changed, SinumerikSettings()))[-1].where == f"Z1 at {end_mm} mm"
 
 
 def test_a_flat_table_gives_what_it_can() -> None:
@@ -411,7 +428,7 @@ def test_a_good_plan_has_nothing_to_be_said_but_drift_that_is_not_alike() -> Non
     (one,) = remarks(plan())
     assert one.startswith("DRIFT DOES NOT AGREE: K0[X1] carries the intercept of EXX, +100 µm")
     assert "1 more such pairs" in one
-    (alone,) = remarks(make_plan(mill({name: PARTS[name] for name in ("EXX", "EXY")}), SinumerikSettings()))
+    (alone,) = remarks(plan_registers(mill({name: PARTS[name] for name in ("EXX", "EXY")}), SinumerikSettings()))
     assert alone.endswith("[drift_source] in export.toml makes the choice.")
     assert not_compensated(plan()) == ()
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
 from thetacomp.controllers.ascii_text import ascii_names, ascii_text
-from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
 from thetacomp.controllers.sinumerik_remarks import differing
 from thetacomp.errors import InputError
 from thetacomp.model.document import ModelDocument
@@ -534,7 +534,7 @@ def test_drift_that_does_not_agree_is_named_with_both_values(tmp_path: Path) -> 
 def test_worst_pair_is_named_of_several(tmp_path: Path) -> None:
     """Model of nine errors: EXY at its warmest +143 µm against EXX -188 µm, EZY -220 µm against EZW +101 µm, …"""
     export(tmp_path, three_axes())
-    found = differing(make_plan(three_axes(), SinumerikSettings()))
+    found = differing(plan_registers(three_axes(), SinumerikSettings()))
     assert len(found) > 2
     assert found[0] == max(found, key=lambda one: abs(one.difference_um))
     words = console(tmp_path)[1]
@@ -544,7 +544,7 @@ def test_worst_pair_is_named_of_several(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("other", "differs"), [(11.1, False), (11.2, True), (8.9, False), (8.8, True)])
 def test_drift_agrees_within_the_95_percent_bound(other: float, differs: bool) -> None:
-    (left_out,) = make_plan(drifts(other), SinumerikSettings()).left_out
+    (left_out,) = plan_registers(drifts(other), SinumerikSettings()).left_out
     assert left_out.bound_um == pytest.approx(2.306 * 5, abs=0.01)
     assert left_out.differs is differs
 
@@ -657,6 +657,6 @@ def test_an_axis_name_that_no_control_can_have_is_asked_for() -> None:
     slope = term(0.0, 5.0)
     model = document({"立柱": "+Y"}, {"EY立柱": component("EY立柱", slope, slope, {"t1": 20.0})}, {"t1": (0.0, 5.0)})
     with pytest.raises(InputError, match=r"cannot have an axis 立柱1 .*\[axis_name\]"):
-        make_plan(model, SinumerikSettings())
-    plan = make_plan(model, SinumerikSettings(axis_name={"立柱": "Y1"}))
+        plan_registers(model, SinumerikSettings())
+    plan = plan_registers(model, SinumerikSettings(axis_name={"立柱": "Y1"}))
     assert plan.axes[0].channel_axis == "Y1"

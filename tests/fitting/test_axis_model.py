@@ -10,13 +10,13 @@ from known_machine import MACHINE, measured_campaign
 from scipy import stats
 
 from thetacomp.analysis import analyze_folder
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.key_point_law import clock, fit_axis
 from thetacomp.folds import hold_out
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_folder
-from thetacomp.states import AxisStates, axis_states
 from thetacomp.validation.acceptance import acceptance_checks
 from thetacomp.validation.validate import Residuals, held_out_residuals
 

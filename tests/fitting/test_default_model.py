@@ -11,7 +11,7 @@ from slow_column import LAG_S, NOISE_UM, campaign, folder, thermal_um
 from typer.testing import CliRunner
 
 from thetacomp.analysis import analyze_folder
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign
 from thetacomp.cli.main import app
@@ -33,29 +33,29 @@ class Rows:
 
 
 @pytest.fixture(scope="module")
-def analysis() -> Analysis:
+def analysis() -> AnalysisResult:
     return analyze_folder(folder(1, 2, 3, 4))
 
 
-def rms_after(analysis: Analysis, model: str) -> float:
+def rms_after(analysis: AnalysisResult, model: str) -> float:
     (row,) = (r for r in analysis.validation if (r.model, r.campaign, r.split) == (model, "all", "campaign"))
     return row.rms_after_um
 
 
-def predicted(analysis: Analysis, heat: Campaign, reference: str | float = "first_row") -> Prediction:
+def predicted(analysis: AnalysisResult, heat: Campaign, reference: str | float = "first_row") -> Prediction:
     t_s = np.arange(0.0, 12 * 3600.0, 900.0)
     rows = Rows(t_s, ("Y",) * len(t_s), np.full(len(t_s), 1800.0))
     return predict(analysis.model, heat.temperatures, rows, reference, duty=heat.duty)  # type: ignore[arg-type]
 
 
-def test_default_follows_the_lag_that_key_points_cannot(analysis: Analysis) -> None:
+def test_default_follows_the_lag_that_key_points_cannot(analysis: AnalysisResult) -> None:
     assert set(analysis.model.prediction) == {"Y"}
     assert rms_after(analysis, "default") < 0.6 * rms_after(analysis, "key_points")
     # sweeps cannot be predicted better than their noise
     assert NOISE_UM <= rms_after(analysis, "default") < 1.7 * NOISE_UM
 
 
-def test_the_band_holds_on_campaigns_nobody_has_seen(analysis: Analysis) -> None:
+def test_the_band_holds_on_campaigns_nobody_has_seen(analysis: AnalysisResult) -> None:
     inside = []
     for seed in range(30, 42):
         unseen = campaign(seed)
@@ -71,7 +71,7 @@ def test_the_band_holds_on_campaigns_nobody_has_seen(analysis: Analysis) -> None
     assert 0.93 <= np.mean(inside) <= 0.995
 
 
-def test_stored_model_predicts_what_validation_judged(analysis: Analysis, tmp_path: Path) -> None:
+def test_stored_model_predicts_what_validation_judged(analysis: AnalysisResult, tmp_path: Path) -> None:
     analysis.model.save(tmp_path / "model.json")
     loaded = load_model(tmp_path / "model.json")
     assert loaded == analysis.model
@@ -83,7 +83,7 @@ def test_stored_model_predicts_what_validation_judged(analysis: Analysis, tmp_pa
     assert again.lower_um[0, 1] < truth[0] < again.upper_um[0, 1]
 
 
-def test_error_is_zero_at_the_reference_whichever_it_is(analysis: Analysis) -> None:
+def test_error_is_zero_at_the_reference_whichever_it_is(analysis: AnalysisResult) -> None:
     unseen = campaign(9)
     assert predicted(analysis, unseen).error_um[0, 1] == 0.0
     assert predicted(analysis, unseen, 9000.0).error_um[10, 1] == pytest.approx(0.0, abs=1e-12)
@@ -106,7 +106,7 @@ def test_named_tests_leave_enough_campaigns_to_train_on() -> None:
     assert {row.model for row in named.validation} >= {"default", "key_points"}
 
 
-def test_far_from_training_is_flagged_widened_and_faded(analysis: Analysis) -> None:
+def test_far_from_training_is_flagged_widened_and_faded(analysis: AnalysisResult) -> None:
     near, far = predicted(analysis, campaign(9)), predicted(analysis, campaign(9, heat_K=80.0))
     assert near.in_domain.mean() > 0.8
     assert far.in_domain[-20:].mean() < 0.5
@@ -115,7 +115,7 @@ def test_far_from_training_is_flagged_widened_and_faded(analysis: Analysis) -> N
     assert any(breach.kind == "distance" for breach in far.breaches)
 
 
-def test_missing_inputs_are_told(analysis: Analysis) -> None:
+def test_missing_inputs_are_told(analysis: AnalysisResult) -> None:
     unseen = campaign(9)
     rows = Rows(np.array([600.0]), ("Y",), np.array([0.0]))
     with pytest.raises(AnalysisError, match="spindle speed"):
@@ -125,7 +125,7 @@ def test_missing_inputs_are_told(analysis: Analysis) -> None:
         predict(analysis.model, other, rows, duty=unseen.duty)
 
 
-def test_a_lost_sensor_degrades_the_prediction_instead_of_ending_it(analysis: Analysis) -> None:
+def test_a_lost_sensor_degrades_the_prediction_instead_of_ending_it(analysis: AnalysisResult) -> None:
     unseen = campaign(9)
     whole = predicted(analysis, unseen)
     only_a = Temperatures(unseen.temperatures.t_s, ("a",), unseen.temperatures.value_degC[:, :1])
@@ -138,7 +138,7 @@ def test_a_lost_sensor_degrades_the_prediction_instead_of_ending_it(analysis: An
     assert np.mean(np.abs(rest.error_um - whole.error_um)[:, 1] <= half / 2) > 0.8
 
 
-def test_a_gap_stays_a_gap(analysis: Analysis) -> None:
+def test_a_gap_stays_a_gap(analysis: AnalysisResult) -> None:
     unseen = campaign(9)
     value = unseen.temperatures.value_degC.copy()
     value[300:360, 1] = np.nan
@@ -148,7 +148,7 @@ def test_a_gap_stays_a_gap(analysis: Analysis) -> None:
     assert np.isfinite(found.error_um[26, 1])
 
 
-def test_a_document_that_contradicts_itself_is_refused(analysis: Analysis) -> None:
+def test_a_document_that_contradicts_itself_is_refused(analysis: AnalysisResult) -> None:
     axis = analysis.model.prediction["Y"]
     intercept, *others = axis.components["EYY"].terms
     short = intercept.model_copy(update={"coefficients": (1.0, 2.0)})
@@ -158,7 +158,7 @@ def test_a_document_that_contradicts_itself_is_refused(analysis: Analysis) -> No
     assert "EYY: intercept has 2 coefficients" in told
 
 
-def test_predict_on_the_command_line_asks_for_the_duty(analysis: Analysis, tmp_path: Path) -> None:
+def test_predict_on_the_command_line_asks_for_the_duty(analysis: AnalysisResult, tmp_path: Path) -> None:
     analysis.model.save(tmp_path / "model.json")
     unseen = campaign(9)
     heat = np.column_stack([unseen.temperatures.t_s, unseen.temperatures.value_degC])
@@ -180,7 +180,7 @@ def test_predict_on_the_command_line_asks_for_the_duty(analysis: Analysis, tmp_p
 
 
 def test_export_carries_the_law_on_key_temperatures_and_says_what_it_gives_away(
-    analysis: Analysis, tmp_path: Path
+    analysis: AnalysisResult, tmp_path: Path
 ) -> None:
     analysis.model.save(tmp_path / "model.json")
     out = CliRunner().invoke(
@@ -196,7 +196,7 @@ def test_export_carries_the_law_on_key_temperatures_and_says_what_it_gives_away(
 
 
 @pytest.mark.parametrize("shift_s", [-1e7, 1e7])
-def test_a_duty_table_of_another_clock_is_refused(analysis: Analysis, shift_s: float) -> None:
+def test_a_duty_table_of_another_clock_is_refused(analysis: AnalysisResult, shift_s: float) -> None:
     unseen = campaign(9)
     assert unseen.duty is not None
     other = replace(unseen.duty, t_s=unseen.duty.t_s + shift_s)
@@ -204,7 +204,7 @@ def test_a_duty_table_of_another_clock_is_refused(analysis: Analysis, shift_s: f
         predicted(analysis, replace(unseen, duty=other))
 
 
-def test_the_cost_of_leaving_heat_history_counts_from_heat_history(analysis: Analysis) -> None:
+def test_the_cost_of_leaving_heat_history_counts_from_heat_history(analysis: AnalysisResult) -> None:
     """The law on key temperatures takes over: the full error told is that of the model that was in use."""
     model, axis = analysis.model, analysis.model.prediction["Y"]
     first = model.control["Y"].fallbacks[0]
@@ -218,7 +218,7 @@ def test_the_cost_of_leaving_heat_history_counts_from_heat_history(analysis: Ana
     assert told.without_rms_um == first.accuracy["EYY"].without_rms_um
 
 
-def test_pictures_of_the_law_on_key_points_do_not_pass_for_the_model_in_use(analysis: Analysis) -> None:
+def test_pictures_of_the_law_on_key_points_do_not_pass_for_the_model_in_use(analysis: AnalysisResult) -> None:
     # the two pictures draw model.control; with heat history that is not what a prediction comes from
     captions = [figure.caption for figure in fit_over_temperature(analysis)]
     assert captions

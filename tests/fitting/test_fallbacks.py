@@ -8,24 +8,23 @@ import numpy as np
 import pytest
 from synthetic_campaigns import LAYOUT, SENSORS, WINTER, Recording, inputs_of, synthetic_machine
 
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, MachineFolder, Parameters
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import calibrated_history
-from thetacomp.fitting.fallbacks import axis_fallbacks, states_without
+from thetacomp.fitting.fallbacks import axis_fallbacks, states_without, with_fallbacks
 from thetacomp.fitting.key_point_law import AxisModel, clock, fit_axis
-from thetacomp.fitting.lost_sensors import with_fallbacks
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
 from thetacomp.folds import hold_out
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.model.check import problems
 from thetacomp.model.document import AxisLaw, ModelDocument, Training
-from thetacomp.model.fallback import carry_over, degraded, without_sensor
+from thetacomp.model.fallback import degraded, start_transfer, without_sensor
 from thetacomp.model.law import Law, component_laws
 from thetacomp.model.load import load_model
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_folder
-from thetacomp.states import AxisStates, axis_states
 
 IDS = ("nut", "bearing", "bed")
 MACHINE = Machine(
@@ -148,18 +147,18 @@ def test_models_without_fallbacks_are_read_as_before(stored: ModelDocument) -> N
 
 def test_the_switch_makes_no_bump_and_decays() -> None:
     # intercept and slope are carried, so no position jumps
-    carried = carry_over(100.0, output=(40.0, -6.0), law=(31.0, -4.5), decay_s=3600.0)
+    carried = start_transfer(100.0, output=(40.0, -6.0), law=(31.0, -4.5), decay_s=3600.0)
     assert np.add((31.0, -4.5), carried.at(100.0)) == pytest.approx((40.0, -6.0))
     later = np.array([carried.at(100.0 + t) for t in range(0, 36000, 60)])
     # closed form: the fastest change is the value over the time constant
     assert np.max(np.abs(np.diff(later[:, 0]))) <= 9.0 / 3600.0 * 60.0 + 1e-12
     assert np.all(np.diff(np.abs(later), axis=0) < 0)
     assert carried.at(3700.0)[0] == pytest.approx(9.0 / np.e)
-    kept = carry_over(100.0, (40.0,), (31.0,), decay_s=None)
+    kept = start_transfer(100.0, (40.0,), (31.0,), decay_s=None)
     assert kept.at(1e6) == (9.0,)
     # back to the whole model in the middle of the decay: again no bump
     output = 31.0 + carried.at(2000.0)[0]
-    assert 35.0 + carry_over(2000.0, (output,), (35.0,)).at(2000.0)[0] == pytest.approx(output)
+    assert 35.0 + start_transfer(2000.0, (output,), (35.0,)).at(2000.0)[0] == pytest.approx(output)
     with pytest.raises(ValueError, match="before the change"):
         carried.at(0.0)
 
@@ -249,7 +248,7 @@ def test_a_sensor_is_lost_in_the_middle_of_a_shift() -> None:
         predicted.append(model.predict(inputs_of(shift, layout)))
     full, fallback = predicted
     lost = 48
-    carried = carry_over(shift.t_s[lost], (full[lost],), (fallback[lost],))
+    carried = start_transfer(shift.t_s[lost], (full[lost],), (fallback[lost],))
     output = np.concatenate([full[:lost], [fallback[k] + carried.at(shift.t_s[k])[0] for k in range(lost, 96)]])
     # the step into the fallback is no larger than the steps that either model makes on its own
     own = max(np.abs(np.diff(full)).max(), np.abs(np.diff(fallback)).max())

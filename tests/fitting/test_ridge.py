@@ -18,9 +18,9 @@ from thetacomp.fitting.ridge import (
     ridge_path,
     rise_since,
 )
-from thetacomp.model.filters import HistoryLayout, history_inputs
+from thetacomp.model.filters import InputLayout, history_inputs
 
-LAYOUT = HistoryLayout(sensors=("theta_1", "theta_2", "theta_3"), base_degC=20.0)
+LAYOUT = InputLayout(sensors=("theta_1", "theta_2", "theta_3"), base_degC=20.0)
 
 
 def machine(seed=0):
@@ -131,9 +131,9 @@ def test_candidates_are_the_fixed_list():
     candidates = history_candidates(LAYOUT)
     assert len(candidates) == len(set(candidates)) == 144
     assert {use.block for candidate in candidates for use in candidate} == set(LAYOUT.blocks)
-    without_speed = HistoryLayout(sensors=("a",), speed_powers=(), base_degC=20.0)
+    without_speed = InputLayout(sensors=("a",), speed_powers=(), base_degC=20.0)
     assert len(set(history_candidates(without_speed))) == 8
-    single = HistoryLayout(sensors=("a",), speed_powers=(2,), time_constants_s=(600.0,), base_degC=20.0)
+    single = InputLayout(sensors=("a",), speed_powers=(2,), time_constants_s=(600.0,), base_degC=20.0)
     assert len(set(history_candidates(single))) == 16
 
 

@@ -16,7 +16,7 @@ from thetacomp.fitting.prior import fit_prior
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
 from thetacomp.model.border import Validity
 from thetacomp.model.fade import FADE_START, faded_um, model_weight
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 
 MACHINES = 10
 YEAR = 40  # campaigns on the way from winter to summer
@@ -144,7 +144,7 @@ def test_fade_catches_a_model_that_runs_away_and_costs_little_where_it_does_not(
     rng = np.random.default_rng(seed)
     machine = synthetic_machine(rng)
     known, summer = machine.record(rng, 6, WINTER), machine.record(rng, 20, SUMMER)
-    long = HistoryLayout(sensors=SENSORS, speed_powers=(), base_degC=20.0)
+    long = InputLayout(sensors=SENSORS, speed_powers=(), base_degC=20.0)
     inputs, new = inputs_of(known, long), inputs_of(summer, long)
     prior = fit_prior(SENSORS, inputs[:, :8], known.displacement_um, known.campaign)
     validity = calibrate_validity(np.hstack([inputs, known.temperature_degC]), known.campaign)

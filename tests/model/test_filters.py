@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from thetacomp.errors import AnalysisError
 from thetacomp.model.filters import (
     FilterState,
-    HistoryLayout,
+    InputLayout,
     history_inputs,
     run_filters,
     start_filters,
@@ -113,7 +113,7 @@ def test_time_that_runs_backward_is_refused():
 
 
 def test_columns_are_what_their_names_say():
-    layout = HistoryLayout(sensors=("theta_1", "theta_2"), time_constants_s=(600.0, 7200.0), base_degC=20.0)
+    layout = InputLayout(sensors=("theta_1", "theta_2"), time_constants_s=(600.0, 7200.0), base_degC=20.0)
     rng = np.random.default_rng(3)
     t_s = np.arange(0.0, 3600.0, 15.0)
     theta = 20.0 + rng.normal(size=(len(t_s), 2)).cumsum(axis=0)
@@ -136,11 +136,11 @@ def test_columns_are_what_their_names_say():
 
 
 def test_layout_without_speed_and_wrong_layouts():
-    layout = HistoryLayout(sensors=("a",), time_constants_s=(60.0,), speed_powers=(), base_degC=20.0)
+    layout = InputLayout(sensors=("a",), time_constants_s=(60.0,), speed_powers=(), base_degC=20.0)
     assert history_inputs(layout, np.arange(3.0), np.full((3, 1), 21.0)).shape == (3, 2)
     with pytest.raises(AnalysisError, match="2 temperatures found, 1 expected"):
         layout.signals(np.zeros((3, 2)))
     with pytest.raises(AnalysisError, match="spindle speed"):
-        HistoryLayout(sensors=("a",), base_degC=20.0).signals(np.zeros((3, 1)))
+        InputLayout(sensors=("a",), base_degC=20.0).signals(np.zeros((3, 1)))
     with pytest.raises(ValidationError, match="above zero and differ"):
-        HistoryLayout(sensors=("a",), time_constants_s=(60.0, 60.0), base_degC=20.0)
+        InputLayout(sensors=("a",), time_constants_s=(60.0, 60.0), base_degC=20.0)

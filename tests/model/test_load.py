@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from thetacomp.arrays import Floats
-from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
 from thetacomp.controllers.sinumerik_signtest import sign_tests
 from thetacomp.errors import ModelFileError, ThetacompError
 from thetacomp.model.document import ModelDocument
@@ -55,7 +55,7 @@ def use(model: ModelDocument) -> Floats:
         volume = predict_volume(model, heat, HOURS_S, positions, duty=duty)  # type: ignore[arg-type]
         out.append(volume.error_um[:, ~np.isnan(volume.error_um).all(axis=0)].ravel())
     with suppress(ThetacompError):
-        sign_tests(make_plan(model, SinumerikSettings()))
+        sign_tests(plan_registers(model, SinumerikSettings()))
     return np.concatenate(out or [np.zeros(0)])
 
 

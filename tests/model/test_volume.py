@@ -13,22 +13,22 @@ from rigid_machine import AXES, MACHINE, NAMES, REFERENCE_S, TOOL_MM, Rigid, dra
 from small_models import component, document, term
 from typer.testing import CliRunner
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.cli.main import app
-from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
 from thetacomp.errors import AnalysisError, InputError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.key_point_law import fit_axis
-from thetacomp.fitting.rotations import with_form
+from thetacomp.fitting.rotations import with_joint_form
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of
 from thetacomp.model.document import ModelDocument
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.prediction import predict
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.model.volume import Part, ThermalParts, volume_error
 from thetacomp.model.volumetric import predict_volume
 from thetacomp.separation import separate_all
-from thetacomp.states import axis_states
 
 CHAIN = chain_of(AXES)
 
@@ -114,7 +114,7 @@ def fitted(rigid: Rigid, rng: np.random.Generator, *, at_columns: bool = True) -
     folder = MachineFolder(MACHINE, tuple(campaigns[:2]))
     separated = separate_all(MACHINE, campaigns[:2])
     models = [(states, fit_axis(states, ("t1", "t2"))) for states in axis_states(folder, separated.components, "ab")]
-    return with_form(build_document(folder, models, "test", "ab"), folder, separated, models, "ab"), campaigns[2]
+    return with_joint_form(build_document(folder, models, "test", "ab"), folder, separated, models, "ab"), campaigns[2]
 
 
 def test_a_rigid_machine_is_predicted_anywhere_and_the_naive_sum_is_not() -> None:
@@ -249,7 +249,7 @@ def test_an_angle_without_its_sensor_is_left_out_and_named() -> None:
     """The angles of the drift hang on a sensor that the table lacks: the rest is as in a model without angles."""
     drift = small().control[""]
     angles = {name: drift.components[f"D{d}"] for name, d in (("DA", "X"), ("DB", "Y"), ("DC", "Z"))}
-    angle = drift.model_copy(update={"layout": HistoryLayout.plain(("b",)), "components": angles})
+    angle = drift.model_copy(update={"layout": InputLayout.plain(("b",)), "components": angles})
     positions, longer = {"X": np.array([700.0]), "W": np.array([400.0])}, np.array([700.0])
     with_angle = small().model_copy(update={"rotations": {"": angle}})
     found = predict_volume(with_angle, warm(), np.array([100.0]), positions, longer)
@@ -263,7 +263,7 @@ def test_an_angle_without_its_sensor_is_left_out_and_named() -> None:
 
 
 def test_sinumerik_takes_k0_from_the_drift_of_the_joint_form() -> None:
-    plan = make_plan(small(), SinumerikSettings())
+    plan = plan_registers(small(), SinumerikSettings())
     sources = {one.axis.name: (one.drift_source, one.slope_source) for one in plan.axes}
     assert sources == {"X": ("DX", "EXX"), "W": ("DZ", "EZW")}
     assert plan.left_out == ()
@@ -276,7 +276,7 @@ def test_sinumerik_takes_k0_from_the_drift_of_the_joint_form() -> None:
     expected = predict_volume(small(), warm(), np.array([100.0]), {"X": np.array([500.0]), "W": np.array([900.0])})
     np.testing.assert_allclose(found_mm * 1000.0, expected.error_um[:, 2])
     with pytest.raises(InputError, match="the model is in the joint form, its drift is DX"):
-        make_plan(small(), SinumerikSettings(drift_source={"X": "EXX"}))
+        plan_registers(small(), SinumerikSettings(drift_source={"X": "EXX"}))
 
 
 def test_the_form_is_kept_in_the_file(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from small_models import component, document, term
 
 from thetacomp.arrays import Floats
-from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
 from thetacomp.errors import AnalysisError, InputError
 from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument
@@ -81,7 +81,7 @@ def test_an_unbelievable_workpiece_raises_the_flag_and_a_missing_one_is_refused(
 @pytest.mark.parametrize("zero_mm", [None, 0.0])
 def test_registers_hold_the_error_that_is_predicted(zero_mm: float | None) -> None:
     follow = model(**({} if zero_mm is None else {"zero_mm": {"X": zero_mm, "W": 100.0}}))
-    plan = make_plan(follow, SinumerikSettings())
+    plan = plan_registers(follow, SinumerikSettings())
     degC = {"a": np.array([25.0]), "part": np.array([30.0])}
     for registers, position_mm, column in zip(plan.axes, (2500.0, 800.0), (0, 2), strict=True):
         k0_mm = registers.register_k0_mm.at(degC)[0]

@@ -241,7 +241,7 @@ def test_the_page_tells_safety_names_and_figures(tmp_path: Path) -> None:
     assert "<b>mill" not in page
     for words in ("responsible", "0.1 K", "R03_F1_B", "R03_X_002_P", "Not good enough", "no cooling", "12 h"):
         assert words in page, words
-    for row in made.reached:
+    for row in made.visible_changes:
         assert f"<strong>{row.visible_um:.1f}</strong>" in page
     programs = [file for file in files if file.startswith("nc/")]
     assert len(programs) == 2 * 6
@@ -294,7 +294,7 @@ def test_an_option_without_sense_is_named(change: dict[str, object], word: str) 
 def test_one_axis_alone_is_planned_and_the_open_roll_is_named() -> None:
     made = make_plan(mill(three()[0]), SHORT)
     assert any("roll of the tracker's frame" in note for note in made.notes)
-    assert len(made.reached) == 3
+    assert len(made.visible_changes) == 3
     header = tables.sweeps_csv(made.timetable).splitlines()[0]
     assert "at_" not in header
     assert not any("roll" in note for note in make_plan(mill(), SHORT).notes)

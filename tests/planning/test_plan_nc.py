@@ -100,7 +100,7 @@ def test_the_sweep_of_one_axis_runs_alone(axis: str, tmp_path: Path) -> None:
 def test_every_position_is_approached_from_the_side_that_its_name_says(tmp_path: Path) -> None:
     timetable = make_timetable(mill(), SHORT)
     walk = by_rs274(write(timetable, tmp_path)["nc/iso/cold_block.ngc"], tmp_path)
-    # A position is reached from both sides: the moves are taken in their order.
+    # A position is visible_changes from both sides: the moves are taken in their order.
     moves = iter(walk.moves)
     for name, _, position, _ in walk.readings:
         begin, end, _ = next(move for move in moves if move[1] == position)

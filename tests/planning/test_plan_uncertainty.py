@@ -16,7 +16,7 @@ from thetacomp.planning.foundation import propose_targets, rigid_rows, tool_reac
 from thetacomp.planning.options import PlanOptions
 from thetacomp.planning.setup import Setup, make_setup
 from thetacomp.planning.timetable import COLD_ROUNDS
-from thetacomp.planning.uncertainty import line_covariance, reach
+from thetacomp.planning.uncertainty import line_covariance, visible_changes
 from thetacomp.planning.writer import make_plan, write_plan
 from thetacomp.reading import read_folder
 from thetacomp.separation import separate_campaign
@@ -79,7 +79,7 @@ def test_the_closed_form_agrees_with_a_monte_carlo(axis: str) -> None:
     runs = [simulated(rng, setup, axis) for _ in range(1000)]
     scatter = {name: np.std([run[name] for run in runs], axis=0) for name in runs[0]}
     # 1000 runs know a standard deviation to 2.2 %; 7 % are more than three times that.
-    for row in reach(setup, propose_targets(setup)):
+    for row in visible_changes(setup, propose_targets(setup)):
         if row.axis == axis:
             k = CARTESIAN.index(row.direction)
             assert row.slope_se_um_per_m == pytest.approx(scatter["slope"][k], rel=0.07)
@@ -124,7 +124,7 @@ def test_analyze_states_what_the_plan_promised_and_scatters_by_it(tmp_path: Path
             found["S"].append(part.slope_um_per_m[hot])
             found["I se"].append(part.intercept_se_um[hot])
             found["S se"].append(part.slope_se_um_per_m[hot])
-    row = plan.reached[0]
+    row = plan.visible_changes[0]
     # 180 components know a standard deviation to 5 %; the sweeps of one component share their cold block.
     assert np.std(found["I"]) == pytest.approx(row.intercept_se_um, rel=0.15)
     assert np.std(found["S"]) == pytest.approx(row.slope_se_um_per_m, rel=0.15)
@@ -159,7 +159,7 @@ def test_a_small_turn_moves_a_point_by_the_cross_product() -> None:
 def test_more_points_and_a_nearer_tracker_help() -> None:
     def worst(options: PlanOptions) -> float:
         setup = make_setup(mill(), options)
-        return max(row.visible_um for row in reach(setup, propose_targets(setup)))
+        return max(row.visible_um for row in visible_changes(setup, propose_targets(setup)))
 
     base = PlanOptions(tracker_distance_mm=6000.0)
     assert worst(replace(base, points=41)) < worst(base)

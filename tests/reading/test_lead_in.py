@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, LeadIn
-from thetacomp.model.filters import HistoryLayout, history_inputs
+from thetacomp.model.filters import InputLayout, history_inputs
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.reading.lead_in import with_lead_in
 from thetacomp.standards.environment import unsettled
@@ -61,7 +61,7 @@ def test_filters_run_through_lead_in_and_campaign_as_one_recording(logged: bool)
     """Parting changes no input of a model; with `recording` a prediction sees what the training saw."""
     t_s = np.arange(-7200.0, 7201.0, 600.0)
     read = with_lead_in(campaign(t_s, t_s if logged else t_s[t_s >= 0]))
-    layout = HistoryLayout(sensors=("a", "b"), time_constants_s=(3600.0,), base_degC=20.0)
+    layout = InputLayout(sensors=("a", "b"), time_constants_s=(3600.0,), base_degC=20.0)
     heat, duty = read.recording()
     assert heat.t_s.tolist() == t_s.tolist()
     assert duty is not None
@@ -100,7 +100,7 @@ def test_a_sample_missing_at_the_seam_is_bridged_from_both_sides() -> None:
     t_s = np.arange(-7200.0, 7201.0, 600.0)
     whole = campaign(t_s)
     whole.temperatures.value_degC[t_s == -600.0, 0] = np.nan
-    layout = HistoryLayout(sensors=("a",), time_constants_s=(3600.0,), speed_powers=(), base_degC=20.0)
+    layout = InputLayout(sensors=("a",), time_constants_s=(3600.0,), speed_powers=(), base_degC=20.0)
     expected = history_inputs(layout, t_s, 20.0 + t_s[:, None] / 1e4)[t_s >= 0]
     found = history_track(with_lead_in(whole), layout, np.zeros(1)).inputs
     np.testing.assert_allclose(found, expected, rtol=1e-12)

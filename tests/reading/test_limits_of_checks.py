@@ -13,8 +13,8 @@ from machine_folders import csv_text, valid_files, write_files
 from thetacomp.campaign import Campaign
 from thetacomp.errors import InputError, Problem
 from thetacomp.reading import check_folder
-from thetacomp.reading.lone import read_duty, read_positions, read_temperatures
 from thetacomp.reading.problems import ProblemList, nearest, quoted, shortened
+from thetacomp.reading.single_tables import read_duty, read_positions, read_temperatures
 from thetacomp.reading.summary import summarize
 
 NAME = "2026-03-02"

@@ -16,7 +16,7 @@ from small_models import component, document, term
 
 from thetacomp.files import UNFINISHED
 
-KILLS = 12
+KILLS = 8
 
 
 def contents(place: Path) -> dict[str, bytes]:
@@ -44,7 +44,7 @@ def killed_again_and_again(out: Path, command: tuple[object, ...], rng: np.rando
     A folder (or file) that is half new is seen by its files: those of one run are all new or all old.
     """
     begin = time.monotonic()
-    assert run(*command).wait(240) in (0, 3)
+    assert run(*command).wait() in (0, 3)
     length_s = time.monotonic() - begin
     seen = set()
     place = out if out.is_dir() else out.parent
@@ -61,7 +61,7 @@ def killed_again_and_again(out: Path, command: tuple[object, ...], rng: np.rando
             while child.poll() is None and written and len(list(written[0].rglob("*"))) < wanted:
                 time.sleep(0.001)
         child.send_signal(signal.SIGKILL)
-        child.wait(60)
+        child.wait()
         after = marks(place)
         assert set(after) == set(before), "a file is missing or one too many"
         ours = {name for name in after if name != "mine.txt" and (out.is_dir() or name == out.name)}
@@ -71,7 +71,7 @@ def killed_again_and_again(out: Path, command: tuple[object, ...], rng: np.rando
             assert contents(place) == old
         assert (place / "mine.txt").read_text() == "mine"
         seen.add("new" if changed else "old")
-    assert run(*command).wait(240) in (0, 3)
+    assert run(*command).wait() in (0, 3)
     assert [path.name for path in out.parent.iterdir() if path.name.startswith(".")] == []
     return seen
 
@@ -86,7 +86,7 @@ def _one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_analysis_that_is_killed_leaves_one_whole_folder(tmp_path: Path) -> None:
     machine = write_files(tmp_path / "machine", valid_files())
     out = tmp_path / "results"
-    assert run("analyze", machine, "--out", out).wait(240) in (0, 3)
+    assert run("analyze", machine, "--out", out).wait() in (0, 3)
     (out / "mine.txt").write_text("mine")
     assert "old" in killed_again_and_again(out, ("analyze", machine, "--out", out), np.random.default_rng(1))
 
@@ -102,7 +102,7 @@ def test_an_export_and_a_prediction_that_are_killed_leave_whole_files(tmp_path: 
     (model.parent / "T.csv").write_text("t_s,t\n" + "".join(f"{t},{20 + t % 600 / 60}\n" for t in rows))
     (model.parent / "P.csv").write_text("t_s,axis,position_mm\n" + "".join(f"{t},X,{t % 1000}\n" for t in rows))
     out = tmp_path / "sheet"
-    assert run("export", model, "--target", "sinumerik", "--out", out).wait(240) == 0
+    assert run("export", model, "--target", "sinumerik", "--out", out).wait() == 0
     (out / "mine.txt").write_text("mine")
     command: tuple[object, ...] = ("export", model, "--target", "sinumerik", "--out", out)
     assert "old" in killed_again_and_again(out, command, np.random.default_rng(2))
@@ -112,4 +112,4 @@ def test_an_export_and_a_prediction_that_are_killed_leave_whole_files(tmp_path: 
     command = ("predict", model, "--temperatures", model.parent / "T.csv", "--positions", model.parent / "P.csv")
     assert "old" in killed_again_and_again(table, (*command, "--out", table), np.random.default_rng(3))
     assert len(table.read_text().splitlines()) == 20_001
-    assert os.listdir(table.parent) == ["error.csv", "mine.txt"] or len(os.listdir(table.parent)) == 2
+    assert sorted(os.listdir(table.parent)) == ["error.csv", "mine.txt"]

@@ -20,7 +20,7 @@ HANDS = {
     r"\bshutil\.(copy|copy2|copyfile|copytree|move)\(": WRITERS,
     r"\bos\.(replace|rename|link)\(|\.symlink_to\(|\.touch\(": WRITERS,
     r"NamedTemporaryFile|mkstemp": set(),
-    r"\bEnvironment\(|\bTemplate\(": {"thetacomp/report/pages.py"},
+    r"\bEnvironment\(|\bTemplate\(": {"thetacomp/report/page_writer.py"},
     r"<(html|style|body|table)\b[^{]": set(),
 }
 

@@ -175,6 +175,7 @@ def test_two_runs_into_one_table_are_told_apart(tmp_path: Path) -> None:
         stack.enter_context(output_table(tmp_path / "error.csv"))
         with pytest.raises(OutputError, match="another run"):
             stack.enter_context(output_table(tmp_path / "error.csv"))
+    (tmp_path / ".error.csv.0123abcd.thetacomp-new").write_text("half")  # of a run that was killed
     with output_table(tmp_path / "error.csv"):
         pass
     assert leftovers(tmp_path) == []

@@ -18,10 +18,10 @@ from synthetic_analysis import (
     sweeps_analysis,
 )
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.files import write_files
 from thetacomp.report import style, tables
-from thetacomp.report.page import render_page, report_files
+from thetacomp.report.analysis_page import render_page, report_files
 from thetacomp.report.rendering import Drawings, inline_svg, missing_note, render
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}
@@ -60,7 +60,7 @@ def outline(html: str) -> Outline:
     return parsed
 
 
-def page_of(analysis: Analysis) -> str:
+def page_of(analysis: AnalysisResult) -> str:
     """The page without its figures: fast, for tests of tables and words."""
     return render_page(analysis, Drawings())
 
@@ -120,7 +120,7 @@ def test_svg_files_are_deterministic_and_without_time() -> None:
     assert "<text" in first  # text is kept as text
 
 
-def style_figures(analysis: Analysis) -> style.NamedFigure:
+def style_figures(analysis: AnalysisResult) -> style.NamedFigure:
     from thetacomp.report.sketch import machine_sketch
 
     return machine_sketch(analysis)[0]

@@ -23,7 +23,7 @@ from synthetic_analysis import (
 
 from thetacomp.machine import Axis, Sensor
 from thetacomp.model.law import component_laws
-from thetacomp.report import prediction, style
+from thetacomp.report import predicted_states, style
 from thetacomp.report.figures import all_figures
 from thetacomp.report.figures_error import error_over_position
 from thetacomp.report.figures_fit import NOT_PREDICTED, fit_over_temperature
@@ -221,7 +221,7 @@ def test_two_inputs_are_drawn_as_measured_against_predicted() -> None:
     figure = fit_over_temperature(analysis)[0]
     axes = figure.figure.axes[0]
     part = analysis.separations[0]
-    predicted = prediction.predict_states(analysis, part)
+    predicted = predicted_states.predict_states(analysis, part)
     assert predicted is not None
     dots = next(c for c in axes.collections if isinstance(c, PathCollection))
     np.testing.assert_allclose(dots.get_offsets(), np.column_stack([predicted.intercept_um, part.intercept_um]))
@@ -241,7 +241,7 @@ def test_a_term_that_chance_explains_is_named_so() -> None:
         for t in (weak, strong, worse_than_mean)
     ]
     laws = [component_laws(one.control)["DX"] for one in alone]
-    assert [prediction.explains(law, 0) for law in laws] == [False, True, False]
+    assert [predicted_states.explains(law, 0) for law in laws] == [False, True, False]
     analysis = parameters_analysis()
     law = analysis.model.control["X"]
     exx = law.components["EXX"]
@@ -311,7 +311,7 @@ def test_prediction_is_the_stored_equation() -> None:
     part = analysis.separations[0]
     law = component_laws(analysis.model.control)[part.component]
     slope = law.component.terms[1]
-    predicted = prediction.predict_states(analysis, part)
+    predicted = predicted_states.predict_states(analysis, part)
     assert predicted is not None
     theta = analysis.folder.campaign(part.campaign).temperatures.at(part.t_s)[:, 0]
     rise = theta - law.law.zero[law.inputs.index("theta_15")]
@@ -329,7 +329,7 @@ def test_prediction_moves_with_p0_but_the_line_does_not() -> None:
     )
     ends = []
     for p in (part, moved):
-        predicted = prediction.predict_states(analysis, p)
+        predicted = predicted_states.predict_states(analysis, p)
         assert predicted is not None
         assert predicted.slope_um_per_m is not None
         ends.append(predicted.intercept_um + predicted.slope_um_per_m * (part.p_max_mm - p.p0_mm) / 1000.0)
@@ -346,7 +346,9 @@ def test_band_is_the_textbook_prediction_interval() -> None:
     fit = term(0.0, 1.0, sd=s) | {"covariance": (s**2 * inverse).tolist()}
     model = document({}, {"DX": component("DX", fit, None, {"a": 0.0}, dof=n - 2)}, {"a": (0.0, 9.0)})
     expected = student_t.ppf(0.975, n - 2) * s * np.sqrt(1.0 + 1.0 / n + (4.0 - x.mean()) ** 2 / sxx)
-    assert prediction.half_band(component_laws(model.control)["DX"], 0, np.array([[4.0]]))[0] == pytest.approx(expected)
+    assert predicted_states.half_band(component_laws(model.control)["DX"], 0, np.array([[4.0]]))[0] == pytest.approx(
+        expected
+    )
 
 
 def test_file_labels_are_plain() -> None:

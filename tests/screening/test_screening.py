@@ -218,7 +218,7 @@ def test_live_verdicts_agree_with_the_record_and_never_use_a_wild_value() -> Non
     assert set(seen[:at]) == {"believed"}
     assert seen[at] == "suspect"
     assert seen[-1] == "repaired"
-    live = [f for f in detector.follower.events if f.j == j]
+    live = [f for f in detector.monitor.events if f.j == j]
     assert [e.kind for e in live] == [f.kind for f in screen(model(), faulty).findings]
 
 

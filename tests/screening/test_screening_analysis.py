@@ -17,7 +17,7 @@ from screening_folder import HOUR_S, column, cut, folder, unbroken, with_tempera
 from typer.testing import CliRunner
 
 from thetacomp.analysis import analyze_folder
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.campaign import MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.examples import TK6920
@@ -25,9 +25,9 @@ from thetacomp.files import write_files
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading import read_folder
 from thetacomp.report.analysis_files import table_files
+from thetacomp.report.analysis_page import render_page
 from thetacomp.report.figures_screening import screened_channels
 from thetacomp.report.figures_temperature import temperatures_over_time
-from thetacomp.report.page import render_page
 from thetacomp.report.rendering import Drawings, draw
 from thetacomp.screening import with_fault
 from thetacomp.screening.campaigns import ScreenedFolder, screened
@@ -54,13 +54,13 @@ def jumped(repair: bool = True) -> ScreenedFolder:
 
 
 @lru_cache
-def analysis(kind: str, repair: bool = True) -> Analysis:
+def analysis(kind: str, repair: bool = True) -> AnalysisResult:
     if kind == "healthy":
         return analyze_folder(folder())
     return analyze_folder(faulty_folder("jump", size_K=31.0), repair=repair)
 
 
-def held_out_rms_um(result: Analysis, model: str = "default") -> float:
+def held_out_rms_um(result: AnalysisResult, model: str = "default") -> float:
     (row,) = (r for r in result.validation if (r.campaign, r.model, r.split) == (FAULTY, model, "campaign"))
     return row.rms_after_um
 

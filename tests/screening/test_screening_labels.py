@@ -17,7 +17,7 @@ from screening_folder import HOUR_S, folder, standing
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, SweepPoints
 from thetacomp.model.temperatures import Duty, Temperatures
-from thetacomp.screening.labels import labels_note, without_held_labels
+from thetacomp.screening.campaign_labels import labels_note, without_held_labels
 from thetacomp.separation import separate_campaign
 
 DATA = "caiviac_fl_thermal/data.xlsx"

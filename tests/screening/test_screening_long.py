@@ -15,7 +15,7 @@ from thermal_network import network, operate
 from thetacomp.arrays import Floats
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening, with_fault
-from thetatwin.trial.readings import as_read, screen_year
+from thetatwin.trial.screened_year import as_read, screen_year
 from thetatwin.year import Readings
 
 HOUR_S = 3600.0
@@ -59,9 +59,9 @@ def followed(
 
 def test_a_noisy_channel_is_one_fault_and_leaves_no_shift_behind() -> None:
     detector, value, found, state = followed(noisy(2.0))
-    (event,) = [e for e in detector.follower.events if e.kind == "noisy"]
+    (event,) = [e for e in detector.monitor.events if e.kind == "noisy"]
     assert event.onset_s == pytest.approx(BEGIN_S, abs=300.0)
-    assert [e for e in detector.follower.events if e.kind == "jump"] == []
+    assert [e for e in detector.monitor.events if e.kind == "jump"] == []
     assert [f.kind for f in found if f.kind == "noisy"]
     t_s = record().t_s
     bad = (t_s > BEGIN_S + HOUR_S) & (t_s < END_S)
@@ -91,7 +91,7 @@ def test_a_small_disagreement_after_a_long_silence_is_no_jump() -> None:
     value = table.value_degC.copy()
     value[table.t_s >= END_S, SENSOR] += 0.8
     detector, used, _, state = followed(Temperatures(table.t_s, table.sensor_ids, value), unsure)
-    assert [e.kind for e in detector.follower.events] == ["missing"]
+    assert [e.kind for e in detector.monitor.events] == ["missing"]
     assert state[-1] == "believed"
     assert used[-1] == value[-1, SENSOR]
 
@@ -101,12 +101,12 @@ def test_a_drift_that_ends_is_believed_after_a_day() -> None:
         record(), record().sensor_ids[SENSOR], "drift", BEGIN_S, rate_K_per_h=2.0, duration_s=END_S - BEGIN_S
     )
     detector, value, _, state = followed(table)
-    (event,) = [e for e in detector.follower.events if e.kind == "drift"]
+    (event,) = [e for e in detector.monitor.events if e.kind == "drift"]
     assert event.end_s == pytest.approx(END_S, abs=5.0 * HOUR_S)
     before = state[int(np.searchsorted(table.t_s, END_S + 0.9 * DAY_S))]
     assert before in ("repaired", "lost")
     assert value[-1] == record().value_degC[-1, SENSOR]
-    assert detector.follower.offset_K[SENSOR] == 0.0
+    assert detector.monitor.offset_K[SENSOR] == 0.0
 
 
 def test_the_readings_of_a_year_are_judged_by_earlier_ones_only() -> None:

@@ -111,16 +111,16 @@ def test_main_factor_by_hand() -> None:
     r = np.array([[0.9, -0.8, 0.1], [0.2, 0.95, 0.85]])
     found = strategies.main_factor("X", ids(3), ("EXX intercept", "EXX slope"), r, np.array([30.0, 10.0]), 0.10)
     # Weighted by 30 and 10 µm: (30·0 + 10·0.75)/40, (30·0.1 + 10·0)/40, (30·0.8 + 10·0.1)/40.
-    assert [v.figure for v in found.verdicts] == pytest.approx([0.1875, 0.075, 0.625])
+    assert [v.figure for v in found.decisions] == pytest.approx([0.1875, 0.075, 0.625])
     assert found.kept == ("t0", "t1")
-    assert "within 0.05 of the best |r| for EXX intercept (30 µm)" in found.verdicts[0].reason
-    assert "loses most in EXX intercept (30 µm): |r| 0.10, best 0.90" in found.verdicts[2].reason
+    assert "within 0.05 of the best |r| for EXX intercept (30 µm)" in found.decisions[0].reason
+    assert "loses most in EXX intercept (30 µm): |r| 0.10, best 0.90" in found.decisions[2].reason
 
 
 def test_main_factor_paper_by_hand() -> None:
     r = np.array([[0.90, -0.85, 0.30], [0.90, 0.95, 0.94]])
     found = strategies.main_factor_paper("X", ids(3), ("EXX intercept", "EXX slope"), r)
-    assert [v.figure for v in found.verdicts] == pytest.approx([0.05, 0.05, 0.60])
+    assert [v.figure for v in found.decisions] == pytest.approx([0.05, 0.05, 0.60])
     assert found.kept == ("t0", "t1")
     assert "up to 0.12 stays (2 × smallest 0.05 + 0.02)" in found.figure_name
     assert strategies.main_factor_paper("X", ids(3), ("a", "b"), r, 0.60).kept == ids(3)
@@ -142,31 +142,31 @@ def test_representative_is_on_the_drive_else_the_medoid() -> None:
     assert (by_medoid.kept, groups) == (("t1",), (ids(3),))
     by_drive, _ = strategies.mutual_irrelevance("X", ids(3), r, ("t9", "t2"))
     assert by_drive.kept == ("t2",)
-    assert "drive of axis X" in by_drive.verdicts[2].reason
-    assert [v.figure for v in by_drive.verdicts] == [0.96, 0.99, 1.0]
+    assert "drive of axis X" in by_drive.decisions[2].reason
+    assert [v.figure for v in by_drive.decisions] == [0.96, 0.99, 1.0]
 
 
 def test_fewest_sensors_stops_when_the_gain_is_small() -> None:
     errors = {(): 100.0, (0,): 40.0, (1,): 30.0, (2,): 35.0, (1, 0): 20.0, (1, 2): 29.0, (1, 0, 2): 19.1}
     found = strategies.fewest_sensors("X", ids(3), lambda s: errors[tuple(s)], 3, "one campaign left out")
     assert found.kept == ("t1", "t0")
-    assert "30.0 -> 20.0 µm" in found.verdicts[1].reason
-    assert "no gain of 5 %" in found.verdicts[2].reason
+    assert "30.0 -> 20.0 µm" in found.decisions[1].reason
+    assert "no gain of 5 %" in found.decisions[2].reason
     limited = strategies.fewest_sensors("X", ids(3), lambda s: errors[tuple(s)], 1, "")
     assert limited.kept == ("t1",)
-    assert "the limit of 1 sensor for this number of states" in limited.verdicts[1].reason
+    assert "the limit of 1 sensor for this number of states" in limited.decisions[1].reason
 
 
 def test_maximum_sensitivity_and_nearest_linear() -> None:
     t = np.linspace(0.0, 2 * np.pi, 41)
     rise = np.column_stack([10 * np.sin(t), 4 * np.sin(t - 0.5), np.full(41, np.nan), np.full(41, 3.0)])
     spans = strategies.maximum_sensitivity("X", ids(4), rise)
-    assert [v.figure for v in spans.verdicts] == pytest.approx([20.0, 8.0, np.nan, 0.0], abs=0.05, nan_ok=True)
+    assert [v.figure for v in spans.decisions] == pytest.approx([20.0, 8.0, np.nan, 0.0], abs=0.05, nan_ok=True)
     assert spans.kept == ("t0",)
     linear = strategies.nearest_linear("X", ids(4), rise, 7 * np.sin(t)[:, None], np.array([14.0]))
     # sin t over sin(t - d) is an ellipse: largest deviation from its line sin d of the half range.
     expected = [0.0, 100.0 * np.sin(0.5) / 2.0]
-    assert [v.figure for v in linear.verdicts[:2]] == pytest.approx(expected, abs=1.0)
+    assert [v.figure for v in linear.decisions[:2]] == pytest.approx(expected, abs=1.0)
     assert linear.kept == ("t0",)
 
 
@@ -225,12 +225,12 @@ def test_both_sources_are_found_and_the_rest_is_explained() -> None:
         assert set(found.key_points) & {"t0", "t1", "t2"}
         assert {name for name, _ in found.left_out} == {"EYX intercept", "EYX slope"}
         assert all("not significant" in reason for _, reason in found.left_out)
-        verdicts = {v.sensor: v for v in found.tables[0].verdicts}
-        assert set(verdicts) == set(states.sensors)
-        assert verdicts["t6"].reason == "does not change"
-        assert verdicts["t7"].reason == "no reading in the campaigns of this axis"
-        assert not verdicts["t8"].stays
-        assert all(v.reason for t in found.tables for v in t.verdicts)
+        decisions = {v.sensor: v for v in found.tables[0].decisions}
+        assert set(decisions) == set(states.sensors)
+        assert decisions["t6"].reason == "does not change"
+        assert decisions["t7"].reason == "no reading in the campaigns of this axis"
+        assert not decisions["t8"].stays
+        assert all(v.reason for t in found.tables for v in t.decisions)
 
 
 def test_the_choice_is_deterministic() -> None:
@@ -244,7 +244,7 @@ def test_a_parameter_counts_by_its_um() -> None:
     value = np.column_stack([8.0 * spindle, 0.1 * drive])
     weights = {
         v.sensor: v.figure
-        for v in select_key_points(table(value, np.column_stack([spindle, drive]), campaign)).tables[0].verdicts
+        for v in select_key_points(table(value, np.column_stack([spindle, drive]), campaign)).tables[0].decisions
     }
     assert weights["t0"] < 0.05 < weights["t1"]
 
@@ -263,8 +263,8 @@ def test_pure_noise_does_not_vote_and_what_slips_through_is_warned_of() -> None:
     assert any(result.key_points for result in results)
     for result in results:
         assert len(result.key_points) <= 1
-        for verdict in result.tables[2].verdicts:
-            assert not verdict.stays or "chance can look like a cause" in verdict.reason
+        for decision in result.tables[2].decisions:
+            assert not decision.stays or "chance can look like a cause" in decision.reason
 
 
 def test_slow_noise_of_a_long_recording_does_not_vote() -> None:
@@ -282,7 +282,7 @@ def test_one_sensor_eight_states() -> None:
     found = select_key_points(table(value, rise[:, None]))
     assert (found.key_points, found.groups) == (("t0",), (("t0",),))
     assert np.isnan(found.smallest_correlation)
-    assert "only 7 states" in found.tables[2].verdicts[0].reason
+    assert "only 7 states" in found.tables[2].decisions[0].reason
 
 
 @pytest.mark.parametrize("states", [1, 2])
@@ -297,7 +297,7 @@ def test_no_usable_sensor() -> None:
     found = select_key_points(table(np.arange(20.0).reshape(10, 2), np.full((10, 3), np.nan)))
     assert found.key_points == ()
     assert found.left_out[0][1] == "no sensor can be used"
-    assert [v.reason for v in found.tables[0].verdicts] == ["no reading in the campaigns of this axis"] * 3
+    assert [v.reason for v in found.tables[0].decisions] == ["no reading in the campaigns of this axis"] * 3
 
 
 def test_number_of_inputs_is_limited_by_the_states() -> None:
@@ -317,7 +317,7 @@ def test_sixty_sensors_thirty_states() -> None:
     value = np.column_stack([6 * spindle, 3 * drive, 2 * drive, spindle, drive, drive]) + rng.normal(0, 1, (30, 6))
     found = select_key_points(table(value, rise, campaign))
     assert 2 <= len(found.key_points) <= 4
-    assert len(found.tables[0].verdicts) == 60
+    assert len(found.tables[0].decisions) == 60
 
 
 @pytest.mark.shared_data("caiviac_fl_thermal/data.xlsx")
@@ -334,7 +334,7 @@ def test_spindle_recording(shared_data) -> None:  # type: ignore[no-untyped-def]
     assert "D1 intercept" in dict(found.left_out)
     assert 2 <= len(found.key_points) <= 4
     none_um = float(found.tables[2].figure_name.split()[-1].rstrip(")"))
-    assert found.tables[2].verdicts[len(found.key_points) - 1].figure < none_um / 2
+    assert found.tables[2].decisions[len(found.key_points) - 1].figure < none_um / 2
 
 
 # --- the paper's way on measured states, tables and names
@@ -344,7 +344,7 @@ def test_paper_way_on_measured_states() -> None:
     states, drives = two_source_machine(2)
     found = paper_key_points(states, drives)
     assert found.method == "paper"
-    assert {v.sensor for v in found.tables[0].verdicts} == set(states.sensors)
+    assert {v.sensor for v in found.tables[0].decisions} == set(states.sensors)
     assert found.key_points
 
 

@@ -124,7 +124,7 @@ def test_published_choice(machine: Machine, thresholds: dict[str, float] | None)
         assert result.key_points == (KEY_POINTS[result.axis],)
         assert result.smallest_correlation == SMALLEST[result.axis]
         assert [t.strategy for t in result.tables] == ["main factor (paper)", "mutual irrelevance"]
-        assert len(result.tables[0].verdicts) == 14
+        assert len(result.tables[0].decisions) == 14
 
 
 def test_one_threshold_for_all_axes_does_not_give_the_published_sets(machine: Machine) -> None:

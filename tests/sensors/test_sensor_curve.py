@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
@@ -30,7 +31,6 @@ from thetacomp.report.figures_sensors import accuracy_over_sensors
 from thetacomp.sensors.sensor_curve import campaign_summaries, enough, sensor_curve
 from thetacomp.sensors.subset import best_subset
 from thetacomp.separation import separate_all
-from thetacomp.states import AxisStates, axis_states
 
 SENSORS = ("a", "b", "c", "d", "e")
 # The truth: DX follows a and d, DZ follows d alone; b is nearly a copy of a; c and e tell nothing.

@@ -16,14 +16,15 @@ from scipy import stats
 from slow_column import LAG_S, MACHINE, NOISE_UM, folder
 
 from thetacomp.analysis import analyze_folder
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.files import write_files
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.fitting.key_point_law import fit_axis
-from thetacomp.fitting.rotations import with_form
+from thetacomp.fitting.rotations import with_joint_form
 from thetacomp.model.axis_chain import chain_of
 from thetacomp.model.check import problems
 from thetacomp.model.document import ModelDocument
@@ -35,9 +36,8 @@ from thetacomp.model.volumetric import predict_volume
 from thetacomp.report.analysis_files import table_files
 from thetacomp.separation import ComponentSeparation, separate_all, separate_campaign
 from thetacomp.separation.component import mean_square_m2
-from thetacomp.separation.forms import bent_components
-from thetacomp.states import axis_states
-from thetacomp.verification.pattern import model_pattern
+from thetacomp.separation.form_choice import bent_components
+from thetacomp.verification.expected_error import expected_from_model
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def joint_model() -> tuple[ModelDocument, MachineFolder, tuple[ComponentSeparati
     states = axis_states(whole, separated.components, "abc")
     fitted = [(s, fit_axis(s, ("t1", "t2"))) for s in states]
     document = build_document(whole, fitted, "test", "abc", history=[calibrated_history(s).document for s in states])
-    return with_form(document, whole, separated, fitted, "abc"), whole, separated.components
+    return with_joint_form(document, whole, separated, fitted, "abc"), whole, separated.components
 
 
 def test_a_bent_column_is_predicted_anywhere() -> None:
@@ -241,7 +241,7 @@ def test_verification_expects_the_bend_where_the_point_is() -> None:
     states = next(s for s in axis_states(whole, separations, "abc") if s.axis == "Y")
     k = states.components.index("EXY")
     samples = states.samples[k]
-    expected, _ = model_pattern(model, whole, states, separations)
+    expected, _ = expected_from_model(model, whole, states, separations)
     at_point = expected[k][0] + expected[k][1] * samples.lever_m
     own = np.flatnonzero(states.campaign[samples.state] == 0)
     s = next(s for s in separations if s.campaign == "a" and s.component == "EXY")
@@ -292,11 +292,11 @@ def bent_folder(*seeds: int) -> MachineFolder:
 
 
 @pytest.fixture(scope="module")
-def analysis() -> Analysis:
+def analysis() -> AnalysisResult:
     return analyze_folder(bent_folder(1, 2, 3, 4))
 
 
-def test_heat_history_follows_the_bend_and_the_law_on_key_points_leaves_it(analysis: Analysis) -> None:
+def test_heat_history_follows_the_bend_and_the_law_on_key_points_leaves_it(analysis: AnalysisResult) -> None:
     rows = {r.model: r for r in analysis.validation if (r.campaign, r.split, r.component) == ("all", "campaign", "EYY")}
     assert NOISE_UM <= rows["default"].rms_after_um < 1.7 * NOISE_UM
     assert rows["key_points"].rms_after_um > 2.0 * rows["default"].rms_after_um
@@ -305,7 +305,7 @@ def test_heat_history_follows_the_bend_and_the_law_on_key_points_leaves_it(analy
     assert any("parabolas" in note for note in analysis.model.notes)
 
 
-def test_the_stored_bend_is_predicted_at_every_position(analysis: Analysis, tmp_path: Path) -> None:
+def test_the_stored_bend_is_predicted_at_every_position(analysis: AnalysisResult, tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     analysis.model.save(path)
     (unseen,) = bent_folder(9).campaigns
@@ -319,7 +319,7 @@ def test_the_stored_bend_is_predicted_at_every_position(analysis: Analysis, tmp_
     assert curve == pytest.approx(CURVE_UM_PER_M2_PER_K * lag, rel=0.1)
 
 
-def test_the_separated_bend_is_written_beside_the_line(analysis: Analysis, tmp_path: Path) -> None:
+def test_the_separated_bend_is_written_beside_the_line(analysis: AnalysisResult, tmp_path: Path) -> None:
     write_files(tmp_path, table_files(analysis))
     lines = (tmp_path / "separation.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0].endswith("bend_um_per_m2,bend_se_um_per_m2")
@@ -334,7 +334,7 @@ def test_the_separated_bend_is_written_beside_the_line(analysis: Analysis, tmp_p
     ],
 )
 def test_a_bend_that_contradicts_the_layout_is_refused(
-    analysis: Analysis, change: dict[str, object], message: str
+    analysis: AnalysisResult, change: dict[str, object], message: str
 ) -> None:
     axis = analysis.model.prediction["Y"]
     *line, bend = axis.components["EYY"].terms

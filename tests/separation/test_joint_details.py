@@ -50,6 +50,7 @@ def test_drift_of_a_machine_that_only_drifts() -> None:
         assert drift.cold.tolist() == [True] * 3 + [False] * 18
         assert (np.diff(drift.t_s) > 0).all()
         assert (drift.reference_s, drift.form, drift.axis) == (REFERENCE_S, "joint", None)
+        assert not np.any([drift.slope_um_per_m, drift.slope_se_um_per_m])
         np.testing.assert_allclose(drift.zero_t_s, points_of(quiet(drifting())).t_s[:42])
         # Three intercepts hold the drift three times: two too many.
         wrong_um = float(drift.notes[0].split("by up to ")[1].split(" µm")[0])
@@ -121,6 +122,22 @@ def test_a_tilt_is_a_slope_of_its_axis_and_no_drift() -> None:
     half_m = (STAND_MM["X"] - P0_MM["X"]) / 1000.0
     last = 1.0 - np.exp(-(drift.t_s[-1] - REFERENCE_S) / TAU_S)
     assert naive == pytest.approx((2.0 * 30.0 + 2.0 * half_m * 40.0) * last, rel=0.03)
+
+
+def test_the_drift_holds_the_errors_of_the_slopes_that_were_taken_off() -> None:
+    """Seen in a sweep of Y: its own intercept, and the slopes of X and W over 0.5 and 0.25 m, as squares."""
+    campaign = measure(drifting(), np.random.default_rng(3), rounds=5)
+    points = points_of(campaign)
+    alone = {
+        s.component: s for s in separate_all(MACHINE, [replace(campaign, sweeps=replace(points, at_mm={}))]).components
+    }
+    found = by_name(campaign)
+    drift, own = found["DX"], alone["EXY"]
+    for k in (2, 3):  # between other rounds
+        row = int(np.flatnonzero(drift.sweep == own.sweep[k])[0])
+        arms = [((STAND_MM[n] - P0_MM[n]) / 1000.0, found[f"EX{n}"].slope_se_um_per_m[k]) for n in ("X", "W")]
+        expected = np.sqrt(own.intercept_se_um[k] ** 2 + sum((arm * se) ** 2 for arm, se in arms))
+        assert drift.intercept_se_um[row] == pytest.approx(expected, rel=0.06)
 
 
 @pytest.mark.parametrize("zero_um", [0.0, 300.0])

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from rigid_machine import AXES, MACHINE, P0_MM, REFERENCE_S, STAND_MM, draw_rigid, measure
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.separation import ComponentSeparation, separate_all
+from thetacomp.separation.axis_shares import between_nodes
 from thetacomp.separation.drift_nodes import Nodes, join, looks_of
 from thetacomp.separation.joint_form import separate_joint, why_not_joint
-from thetacomp.separation.shares import between_nodes
-from thetacomp.states import axis_states
 
 LETTERS = "XYZABC"
 

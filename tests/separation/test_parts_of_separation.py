@@ -16,10 +16,11 @@ from thetacomp.cold_block import cold_block_length
 from thetacomp.errors import AnalysisError
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_campaign
+from thetacomp.separation.axis_shares import AxisFit, axis_share_um, between_nodes
 from thetacomp.separation.component import mean_square_m2
 from thetacomp.separation.drift_nodes import Nodes, join, looks_of, scatter
 from thetacomp.separation.drift_outliers import gross_looks, gross_readings, least_sd
-from thetacomp.separation.forms import bent_components, separate_all
+from thetacomp.separation.form_choice import bent_components, separate_all
 from thetacomp.separation.geometry import (
     candidates,
     choose_curve,
@@ -29,9 +30,8 @@ from thetacomp.separation.geometry import (
     polynomial,
     smoothing_spline,
 )
-from thetacomp.separation.joint import ComponentData, find_outliers, fit_component, shape_change, state_weights
 from thetacomp.separation.reference import cold_block_change_K, drift_window, reference_time_s
-from thetacomp.separation.shares import AxisFit, axis_share_um, between_nodes
+from thetacomp.separation.sweep_fit import ComponentData, find_outliers, fit_component, shape_change, state_weights
 
 
 def heat(*rows: tuple[float, float]) -> Temperatures:
@@ -349,6 +349,16 @@ def test_what_is_stated_of_a_component() -> None:
     (curve,) = s.geometry
     assert (curve.position_mm[0], curve.position_mm[-1], len(curve.position_mm)) == (0.0, 1000.0, 101)
     assert (curve.se_um > 0).all()
+
+
+def test_a_direction_that_was_not_measured_hides_none_behind_it() -> None:
+    campaign = swept(noisy().error_um, letters=3)
+    points = campaign.sweeps
+    assert points is not None
+    error = points.error_um.copy()
+    error[:, 1] = np.nan
+    found = separate_campaign(MACHINE, replace(campaign, sweeps=replace(points, error_um=error)))
+    assert [s.component for s in found] == ["EXY", "EZY"]
 
 
 def test_an_outlier_does_not_count_in_the_rms_of_its_sweep() -> None:

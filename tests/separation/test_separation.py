@@ -14,8 +14,8 @@ from thetacomp.errors import AnalysisError
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_campaign
 from thetacomp.separation.geometry import choose_curve, polynomial, smoothing_spline
-from thetacomp.separation.joint import rate_matrix
 from thetacomp.separation.reference import cold_block_change_K, reference_time_s
+from thetacomp.separation.sweep_fit import rate_matrix
 
 
 @pytest.mark.timeout(400)

@@ -15,6 +15,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.standards.campaign_tests import AXIS, ETVE, SPINDLE, campaign_positioning, campaign_tests
+from thetacomp.standards.figure_rows import axis_u_um
 from thetacomp.standards.instrument import Instrument
 from thetacomp.standards.iso230_3 import (
     Distortion,
@@ -24,7 +25,6 @@ from thetacomp.standards.iso230_3 import (
     range_within,
     spindle_distortion,
 )
-from thetacomp.standards.rows import axis_u_um
 
 TAU_S = 3600.0
 STEP_S = 60.0

@@ -7,7 +7,7 @@ import pytest
 from thetatwin.campaigns import Twin, make_twin
 from thetatwin.conditions import Conditions, load_conditions
 from thetatwin.description import Material, load_description
-from thetatwin.virtual import VirtualMachine, build
+from thetatwin.virtual_machine import VirtualMachine, build
 
 
 @pytest.fixture(scope="session")

@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError, InputError
-from thetatwin import picture, sensor_places, snapshots, virtual
+from thetatwin import picture, sensor_places, snapshots, virtual_machine
 from thetatwin.conditions import Conditions
 from thetatwin.mesh import mesh_body
 from thetatwin.mounting import Mounting, candidates, load_mounting
 from thetatwin.picture import Mark, figure_content, machine_figure, sensor_marks, warm_machine
 from thetatwin.sensor_places import Placement, place_sensors
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 MIDDLE = {"X": 2000.0, "Y": 1500.0, "W": 500.0}
 
@@ -243,7 +243,7 @@ def test_svg_of_a_picture_repeats(
 
 @pytest.fixture
 def quick(coarse: VirtualMachine, short_work: None, small_pictures: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(virtual, "build", lambda description: coarse)
+    monkeypatch.setattr(virtual_machine, "build", lambda description: coarse)
 
 
 def run_place(*arguments: str) -> tuple[int, str]:

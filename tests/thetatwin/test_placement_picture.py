@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thetatwin.labels import Label, arrange
+from thetatwin.label_placement import Label, place_labels
 from thetatwin.picture import isotherm_step
 from thetatwin.raster import Canvas, contour_lines, paint, smaller
 
@@ -68,7 +68,7 @@ def test_a_half_covered_block_is_half_transparent_and_keeps_its_colour():
 
 def test_labels_of_neighbours_do_not_cover_each_other_or_the_dots():
     labels = [Label(f"θ{k}", (100.0 + 12.0 * k, 100.0 + 3.0 * (k % 2))) for k in range(6)]
-    offsets = arrange(labels, 10.0)
+    offsets = place_labels(labels, 10.0)
     middles = np.array([label.point for label in labels]) + np.array(offsets)
     half = np.array([(0.68 * 2 + 0.5) * 5.0, 7.5])
     for a in range(6):
@@ -76,4 +76,4 @@ def test_labels_of_neighbours_do_not_cover_each_other_or_the_dots():
             assert np.any(np.abs(middles[a] - middles[b]) >= 2 * half - 1e-6)
         for label in labels:
             assert np.any(np.abs(middles[a] - np.array(label.point)) >= half)
-    assert arrange([], 10.0) == []
+    assert place_labels([], 10.0) == []

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from thetacomp.axis_states import axis_states
 from thetacomp.cli.main import app
 from thetacomp.errors import InputError
 from thetacomp.fitting.procedures import paper_procedure
 from thetacomp.machine import Machine
 from thetacomp.reading import check_folder, read_folder
 from thetacomp.separation import separate_campaign
-from thetacomp.states import axis_states
-from thetatwin import picture, virtual
+from thetatwin import picture, virtual_machine
 from thetatwin.campaigns import make_twin, plan_campaigns
 from thetatwin.conditions import Conditions
 from thetatwin.description import Description
@@ -27,7 +27,7 @@ from thetatwin.picture import sensor_marks
 from thetatwin.placement_page import places_table
 from thetatwin.sensor_sets import read_places, with_sensors
 from thetatwin.thermal import sensor_rows
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 from thetatwin.writer import write_twin
 
 COARSE = 0.4  # the refinement of the machine of these tests
@@ -249,7 +249,7 @@ def test_the_command_puts_the_sensors_of_the_table_on_the_machine(
         built.append(description)
         return carrying(coarse, description)
 
-    monkeypatch.setattr(virtual, "build", build)
+    monkeypatch.setattr(virtual_machine, "build", build)
     monkeypatch.setattr(picture, "_PIXELS", 160)
     path = written(tmp_path, table((*CORNERS, *PARTS)) + table(CORNERS[:3], "modes").removeprefix(HEAD))
     arguments = ["twin", "--out", str(tmp_path / "m"), "--campaigns", "1", "--places", str(path), "--strategy", "modes"]

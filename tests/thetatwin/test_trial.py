@@ -23,10 +23,9 @@ from thetatwin.campaigns import Twin
 from thetatwin.conditions import Tracker
 from thetatwin.hall import DAY_S
 from thetatwin.trial.figures import month_by_month
-from thetatwin.trial.monthly import TOOL, acceptance, by_hour, monthly
+from thetatwin.trial.monthly_figures import TOOL, acceptance, by_hour, monthly
 from thetatwin.trial.page import _Told, trial_files
 from thetatwin.trial.probing import Course, adapt
-from thetatwin.trial.readings import ScreenedMonth, ScreenedYear
 from thetatwin.trial.run import (
     ADAPTIVE,
     FROZEN,
@@ -39,6 +38,7 @@ from thetatwin.trial.run import (
     run_trial,
     stated_places,
 )
+from thetatwin.trial.screened_year import ScreenedMonth, ScreenedYear
 from thetatwin.year import COLD_HOUR, Schedule, Year, live_a_year
 
 SHORT = Schedule((1, 1), cold_rounds=2, between_rounds_min=240, months=1)

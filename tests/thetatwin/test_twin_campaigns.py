@@ -17,7 +17,7 @@ from thetacomp.reading import check_folder, read_folder
 from thetatwin.campaigns import Record, Twin, make_twin, plan_campaigns, run_campaign
 from thetatwin.conditions import load_conditions
 from thetatwin.picture import campaign_figure, figure_content
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 from thetatwin.writer import truth_folder, write_twin
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from thetacomp.errors import InputError
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.reading import check_folder, read_folder, summarize
 from thetacomp.temperature.history_track import history_track
 from thetatwin import picture
@@ -96,7 +96,7 @@ def test_the_folder_holds_the_day_before_apart_from_the_campaign(
     first = (truth_folder(tmp_path / "early") / "campaigns" / read.name / "drift.csv").read_text().splitlines()[1]
     assert first.startswith("-86400,")
     # Filters rest on the first row of the day before: at the begin they know the heat that is in the machine.
-    layout = HistoryLayout(sensors=("theta_1",), time_constants_s=(14400.0,), base_degC=20.0)
+    layout = InputLayout(sensors=("theta_1",), time_constants_s=(14400.0,), base_degC=20.0)
     rested, warm = (history_track(c, layout, np.array([1800.0])).absolute(np.array([0.0]))[0] for c in (plain, read))
     assert rested[1] == 0.0
     assert abs(warm[1]) > 0.05

@@ -16,7 +16,7 @@ from thetatwin.description import Description, load_description
 from thetatwin.kinematics import rod_growth
 from thetatwin.mesh import patch_weights
 from thetatwin.thermal import transient
-from thetatwin.virtual import VirtualMachine, build
+from thetatwin.virtual_machine import VirtualMachine, build
 
 MIDDLE = {"X": 2000.0, "Y": 1500.0, "W": 500.0}
 

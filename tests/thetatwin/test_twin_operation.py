@@ -32,7 +32,7 @@ from thetatwin.operation import (
     source_power_W,
     viscosity_mm2_per_s,
 )
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 AXES = ("X", "Y", "W")
 

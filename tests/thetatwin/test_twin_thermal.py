@@ -12,7 +12,7 @@ from thetatwin.description import Block, Body, Material
 from thetatwin.elastic import scalar_spaces
 from thetatwin.mesh import face_weights, mesh_body
 from thetatwin.thermal import AIR_INPUTS, GROUND_INPUT, ThermalSystem, body_matrices, transient
-from thetatwin.virtual import VirtualMachine
+from thetatwin.virtual_machine import VirtualMachine
 
 
 def test_a_slab_that_cools_at_one_face_follows_the_series(iron: Material) -> None:

@@ -376,7 +376,7 @@ def test_lost_points_stay_missing():
 def test_what_cannot_be_determined_is_refused_with_the_reason(options, code, words):
     with pytest.raises(FrameError) as refusal:
         hall(**options).errors()
-    assert refusal.value.finding.code == code
+    assert refusal.value.doubt.code == code
     assert words in str(refusal.value)
     assert "Fix: measure" in str(refusal.value)
 

@@ -14,22 +14,22 @@ from typer.testing import CliRunner
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
 from thetacomp.files import write_files
 from thetacomp.folds import hold_out, training_states
 from thetacomp.report.analysis_files import table_files
-from thetacomp.report.page import report_files
+from thetacomp.report.analysis_page import report_files
 from thetacomp.separation import separate_all
-from thetacomp.states import AxisStates, axis_states
 from thetacomp.validation.families import families
 from thetacomp.validation.families.choice import FamilyModel, family_procedure, inner_errors, training_table
 from thetacomp.validation.families.compare import compare_families
+from thetacomp.validation.families.comparison_row import COMPARISON_ONLY
 from thetacomp.validation.families.dynamic import SLOWEST, Arx, Course, Grey, fit_arx, fit_grey, on_grid, step_h
 from thetacomp.validation.families.families import FAMILIES
 from thetacomp.validation.families.family import BUDGET, Family, Rows, Table, linear, one_by_one
 from thetacomp.validation.families.linear import step_path
-from thetacomp.validation.families.rows import COMPARISON_ONLY
 from thetacomp.validation.families.shrinkage import group_lasso_path
 from thetacomp.validation.validate import AxisTask
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from thetacomp.analysis import analyze_folder
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import all_sensors, clock, fit_axis, training_mean
@@ -14,10 +15,9 @@ from thetacomp.folds import forward_in_time, hold_out
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_folder
-from thetacomp.states import AxisStates, axis_states
 from thetacomp.validation.acceptance import fit_for_use
+from thetacomp.validation.outcome import ValidationRow
 from thetacomp.validation.permutation import permutation_test
-from thetacomp.validation.rows import ValidationRow
 
 MACHINE = Machine(
     name="linear",

@@ -14,8 +14,8 @@ from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.model.temperatures import Temperatures
-from thetacomp.verification.lines import END_POINTS, LEAST_SQUARES, squareness, straightness
 from thetacomp.verification.runs import chosen, facts, run_points, zero_scatter
+from thetacomp.verification.straightness import END_POINTS, LEAST_SQUARES, squareness, straightness
 
 AXES = (
     Axis(name="X", direction="+X", travel_mm=(0, 1000)),
@@ -281,3 +281,5 @@ def test_the_facts_of_several_campaigns_are_the_longest_and_the_largest() -> Non
     assert dict(found.rises_K) == {"t1": pytest.approx(4.0), "t2": pytest.approx(-10.0)}
     assert [name for name, _ in found.rises_K] == ["t2", "t1"]
     assert found.heated_sweeps == 6
+    other = facts([warm, calm], [part("EXX", "b"), part("EXX", "a", **longer)])
+    assert (other.rises_K, other.hours, other.start_degC) == (found.rises_K, found.hours, found.start_degC)

@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 from thetacomp.arrays import Floats
-from thetacomp.verification.before_after import before_after, over_points, over_states, state_line
-from thetacomp.verification.harm import MOST_POSITIONS, harm_map
-from thetacomp.verification.runs import RunPoints, without_expectation
-from thetacomp.verification.share import (
+from thetacomp.verification.applied_share import (
     ALL,
     INTERCEPT,
     SLOPE,
@@ -26,6 +23,9 @@ from thetacomp.verification.share import (
     repeated_runs,
     shares,
 )
+from thetacomp.verification.before_after import before_after, over_points, over_states, state_line
+from thetacomp.verification.harm import MOST_POSITIONS, harm_map
+from thetacomp.verification.runs import RunPoints, without_expectation
 
 LEVER_M = np.linspace(-1.0, 1.0, 5)
 

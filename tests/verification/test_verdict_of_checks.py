@@ -9,7 +9,7 @@ import pytest
 
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.verification.diagnosis import causes, checks, not_followed, remarks
-from thetacomp.verification.findings import BeforeAfter, Check, HarmMap, RunFacts, Share, ShareKind, Statistic
+from thetacomp.verification.outcome import BeforeAfter, Check, HarmMap, RunFacts, Share, ShareKind, Statistic
 
 NAN = float("nan")
 X, Y = (Axis(name="X", direction="+X", travel_mm=(0, 1)), Axis(name="Y", direction="+Y", travel_mm=(0, 1)))

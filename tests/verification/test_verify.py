@@ -21,8 +21,8 @@ from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
 from thetacomp.reading import read_folder
 from thetacomp.report.figures_verification import over_time
-from thetacomp.verification import Verification, verify_folder
-from thetacomp.verification.lines import END_POINTS, LEAST_SQUARES, straightness_um
+from thetacomp.verification import VerificationResult, verify_folder
+from thetacomp.verification.straightness import END_POINTS, LEAST_SQUARES, straightness_um
 
 
 def cooled(name: str, t_h: Floats) -> Floats:
@@ -52,7 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def verified(folder: Path) -> dict[str, Verification]:
+def verified(folder: Path) -> dict[str, VerificationResult]:
     """Every run against the same run off; a fit to it says what to expect."""
     read = read_folder(folder)
     return {name: verify_folder(read, ["off"], [name]) for name in RUNS}
@@ -61,7 +61,7 @@ def verified(folder: Path) -> dict[str, Verification]:
 # --- go or no-go, and the cause by name -------------------------------------------------------------------------------
 
 
-def test_a_good_compensation_is_a_go(verified: dict[str, Verification]) -> None:
+def test_a_good_compensation_is_a_go(verified: dict[str, VerificationResult]) -> None:
     result = verified["good"]
     assert result.go
     assert result.causes == ()
@@ -84,7 +84,7 @@ def test_a_good_compensation_is_a_go(verified: dict[str, Verification]) -> None:
     ],
 )
 def test_a_no_go_names_its_cause_and_no_other(
-    verified: dict[str, Verification], name: str, kind: str, words: str
+    verified: dict[str, VerificationResult], name: str, kind: str, words: str
 ) -> None:
     result = verified[name]
     assert not result.go
@@ -92,7 +92,7 @@ def test_a_no_go_names_its_cause_and_no_other(
     assert words in result.causes[0].text
 
 
-def test_shares_come_back_inside_their_intervals(verified: dict[str, Verification]) -> None:
+def test_shares_come_back_inside_their_intervals(verified: dict[str, VerificationResult]) -> None:
     for name, truth in (("good", 1.0), ("reversed", -1.0), ("doubled", 2.0), ("never", 0.0), ("partly", 0.4)):
         shares = [share for share in verified[name].shares if share.part == "all"]
         assert len(shares) == len(LAW)
@@ -156,7 +156,7 @@ def test_two_heated_sweeps_prove_nothing(tmp_path: Path) -> None:
 # --- before and after -------------------------------------------------------------------------------------------------
 
 
-def test_before_and_after_of_the_column_in_closed_form(verified: dict[str, Verification]) -> None:
+def test_before_and_after_of_the_column_in_closed_form(verified: dict[str, VerificationResult]) -> None:
     result = verified["never"]
     row = next(r for r in result.rows if r.component == "column_X")
     # 11 µm/K and 12 µm/m/K over 1.5 m, 6.05 K at the end of the warm-up; the sweep at 6 h sees 97 % of it.
@@ -195,7 +195,7 @@ def test_the_published_column_deviation_and_a_run_of_known_remainder(tmp_path: P
     assert any("only a part of the correction arrives" in note for note in result.notes)
 
 
-def test_a_hotter_run_is_compared_at_like_heat(verified: dict[str, Verification]) -> None:
+def test_a_hotter_run_is_compared_at_like_heat(verified: dict[str, VerificationResult]) -> None:
     result = verified["hot"]
     assert result.go
     row = next(r for r in result.rows if r.component == "column_X").of("max")
@@ -214,7 +214,7 @@ def test_bounds_enclose_the_percentages_and_are_wider_for_noisy_runs(tmp_path: P
     assert widths[1] > 2.0 * widths[0]
 
 
-def test_harm_is_found_where_it_was_made(verified: dict[str, Verification]) -> None:
+def test_harm_is_found_where_it_was_made(verified: dict[str, VerificationResult]) -> None:
     worst = max(verified["one"].harm, key=lambda one: one.largest_um)
     assert worst.component == "EZY"
     # -9 and -8 µm/m/K: the error is largest at the top of the column, at the end of the warm-up.
@@ -241,7 +241,7 @@ def test_straightness_has_no_tilt_and_knows_both_reference_lines() -> None:
     assert straightness_um(x, x**3, LEAST_SQUARES) == pytest.approx(0.8, rel=2e-3)
 
 
-def test_tilt_is_squareness_and_not_straightness(verified: dict[str, Verification]) -> None:
+def test_tilt_is_squareness_and_not_straightness(verified: dict[str, VerificationResult]) -> None:
     result = verified["never"]
     tilt = next(s for s in result.squareness if s.name == "EXY")
     rise_K = 7.0 * (1 - np.exp(-5.5 / 3.0))
@@ -289,7 +289,7 @@ def test_several_campaigns_of_one_run_are_taken_together(tmp_path: Path) -> None
     assert next(r for r in result.rows if r.component == "EXY").states_on == 16
 
 
-def test_without_a_law_only_like_heat_is_compared(folder: Path, verified: dict[str, Verification]) -> None:
+def test_without_a_law_only_like_heat_is_compared(folder: Path, verified: dict[str, VerificationResult]) -> None:
     model = true_model()
     nothing = model.model_copy(update={"control": {}})
     like = verify_folder(read_folder(folder), ["off"], ["good"], nothing)
@@ -346,7 +346,7 @@ def test_the_command_ends_with_zero_for_a_go_and_writes_tables(folder: Path, tmp
 
 
 @pytest.mark.needs("chromium")
-def test_the_figure_over_time_shows_every_point_of_both_columns(verified: dict[str, Verification]) -> None:
+def test_the_figure_over_time_shows_every_point_of_both_columns(verified: dict[str, VerificationResult]) -> None:
     good = verified["good"]
     for larger in ("column_X", "column_Z"):
         lines = [

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from thetacomp.verification.applied_share import ALL, INTERCEPT, classify, shares
 from thetacomp.verification.before_after import before_after, over_states
 from thetacomp.verification.runs import RunPoints, zero_scatter
-from thetacomp.verification.share import ALL, INTERCEPT, classify, shares
 
 Floats = NDArray[np.float64]
 STATES, POINTS = 10, 7

@@ -11,15 +11,15 @@ from rigid_machine import P0_MM
 from small_models import component, document, nothing_predicts, term
 from verification_runs import AXES, LAW, Run, rises_K, true_model, write_folder
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder, SweepPoints
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument
 from thetacomp.reading import read_folder
 from thetacomp.separation import separate_campaign
-from thetacomp.states import axis_states
-from thetacomp.verification import Verification, verify_folder
-from thetacomp.verification.pattern import fitted_pattern, model_pattern
+from thetacomp.verification import VerificationResult, verify_folder
+from thetacomp.verification.expected_error import expected_from_fit, expected_from_model
 
 ROUNDS = 5
 
@@ -53,7 +53,7 @@ def changed(folder: MachineFolder, name: str, **settings: object) -> MachineFold
 
 
 @pytest.fixture(scope="module")
-def result(folder: MachineFolder) -> Verification:
+def result(folder: MachineFolder) -> VerificationResult:
     return verify_folder(folder, ["off"], ["on"], true_model())
 
 
@@ -66,7 +66,7 @@ def expected_um(component: str, heat: float) -> float:
     return float((abs(intercept) + abs(slope) * half_m) * rise)
 
 
-def test_what_is_compared_and_where_it_stands(result: Verification) -> None:
+def test_what_is_compared_and_where_it_stands(result: VerificationResult) -> None:
     names = [f"E{d}{a}" for a in "XY" for d in "XYZ"]
     assert [row.component for row in result.rows] == [*names, "column_X", "column_Z"]
     assert [line.component for line in result.states_off] == ["column_X", "column_Z", *names]
@@ -79,14 +79,14 @@ def test_what_is_compared_and_where_it_stands(result: Verification) -> None:
     assert result.heat_ratio == pytest.approx(0.8, abs=0.02)
 
 
-def test_the_largest_size_of_each_component_is_that_of_the_law(result: Verification) -> None:
+def test_the_largest_size_of_each_component_is_that_of_the_law(result: VerificationResult) -> None:
     for share in result.shares:
         if share.part == "all":
             assert share.size_um == pytest.approx(expected_um(share.component, 0.8), rel=0.05)
             assert share.material == (share.size_um >= 0.1 * max(expected_um(c, 1.0) for c in LAW if c[2] != "W"))
 
 
-def test_harm_is_allowed_up_to_a_quarter_of_the_largest_error_of_its_direction(result: Verification) -> None:
+def test_harm_is_allowed_up_to_a_quarter_of_the_largest_error_of_its_direction(result: VerificationResult) -> None:
     for one in result.harm:
         largest = max(expected_um(f"E{one.component[1]}{axis}", 1.0) for axis in "XY")
         assert one.limit_um == pytest.approx(0.25 * largest, rel=0.08)
@@ -102,7 +102,7 @@ def test_a_coarse_instrument_of_either_run_raises_what_can_be_judged(folder: Mac
     assert not any("instrument_u_um" in note for note in coarse.notes)
 
 
-def test_what_nobody_stated_is_said(folder: MachineFolder, result: Verification) -> None:
+def test_what_nobody_stated_is_said(folder: MachineFolder, result: VerificationResult) -> None:
     assert not any("operating mode" in note or "instrument_u_um" in note for note in result.notes)
     silent = changed(folder, "on", instrument_u_um=None)
     notes = verify_folder(silent, ["off"], ["on"], true_model()).notes
@@ -174,7 +174,7 @@ def pattern(
     """Expected intercepts and slopes of the axis X by the known model, and its states."""
     separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
     states = axis_states(folder, separations, ["off", "on"])[0]
-    expected, notes = model_pattern(true_model().model_copy(update=model_update), folder, states, separations)
+    expected, notes = expected_from_model(true_model().model_copy(update=model_update), folder, states, separations)
     assert notes == ()
     return [e[0] for e in expected], [e[1] for e in expected], states
 
@@ -237,7 +237,7 @@ def test_a_joint_model_expects_the_drift_and_the_tilt_of_the_other_axes_where_th
     whole = MachineFolder(rigid_machine.MACHINE, (campaign,))
     separations = separate_campaign(whole.machine, campaign)
     states = next(s for s in axis_states(whole, separations, ["a"]) if s.axis == "X")
-    expected, _ = model_pattern(joint(), whole, states, separations)
+    expected, _ = expected_from_model(joint(), whole, states, separations)
     k = states.components.index("EZX")
     samples = states.samples[k]
     own = next(s for s in separations if s.component == "EZX")
@@ -258,7 +258,7 @@ def test_what_a_model_does_not_predict_has_no_pattern_and_is_named(folder: Machi
     blind = nothing_predicts("EYX", p=(travel_mm / 2, 0.0, travel_mm))
     separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
     states = axis_states(folder, separations, ["off", "on"])[0]
-    expected, notes = model_pattern(true_model(("EZX",), EYX=blind), folder, states, separations)
+    expected, notes = expected_from_model(true_model(("EZX",), EYX=blind), folder, states, separations)
     assert [bool(np.isfinite(e[0]).all()) for e in expected] == [True, False, False]
     assert [note.split(":")[0] for note in notes] == ["EYX", "EZX"]
     assert np.isnan([*expected[1][0], *expected[1][1]]).all()
@@ -276,7 +276,7 @@ def test_a_fit_to_the_run_off_does_not_look_at_the_run_on(folder: MachineFolder)
     for one in (folder, spoilt):
         separations = [s for c in one.campaigns for s in separate_campaign(one.machine, c)]
         states = axis_states(one, separations, ["off", "on"])[1]
-        expected, notes = fitted_pattern(one, states, ["off"])
+        expected, notes = expected_from_fit(one, states, ["off"])
         assert notes == ()
         found.append(expected)
         k = states.components.index("EXY")
@@ -296,6 +296,6 @@ def test_a_run_off_that_no_sensor_explains_says_so(folder: MachineFolder) -> Non
     separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
     states = axis_states(folder, separations, ["off", "on"])[0]
     few = states.take(np.flatnonzero((states.campaign == 1) | (states.t_s < 4000.0)))
-    expected, (note,) = fitted_pattern(folder, few, ["off"])
+    expected, (note,) = expected_from_fit(folder, few, ["off"])
     assert note.startswith("axis X: ")
     assert all(np.isnan(e[0]).all() and np.isnan(e[1]).all() for e in expected)

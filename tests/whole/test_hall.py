@@ -32,20 +32,20 @@ from hall_chain import (
 from scipy import stats
 from typer.testing import CliRunner
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import calibrated_history
 from thetacomp.fitting.procedures import key_point_procedure
-from thetacomp.fitting.rotations import with_form
+from thetacomp.fitting.rotations import with_joint_form
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.load import load_model
 from thetacomp.reading import check_folder, read_folder
 from thetacomp.separation import Separated, separate_all
-from thetacomp.states import axis_states
 from thetacomp.tracker.frame import nominal_mm
 from thetacomp.tracker.rigid import fit_rigid, point_covariance_um2
-from thetacomp.verification.findings import Verification
+from thetacomp.verification.outcome import VerificationResult
 from thetacomp.verification.verify import verify_folder
 
 TRAINING = ("2026-03-02", "2026-03-03", "2026-03-04", "2026-03-05")
@@ -108,7 +108,7 @@ def fitted(folder: MachineFolder, names: tuple[str, ...] = TRAINING) -> tuple[Se
     laws = [(one, key_point_procedure(folder.machine)(one)) for one in states]
     history = tuple(calibrated_history(one).document for one in states)
     document = build_document(folder, laws, "hall", names, history=history)
-    return separated, with_form(document, folder, separated, laws, names)
+    return separated, with_joint_form(document, folder, separated, laws, names)
 
 
 def standing(n: int, **moved: object) -> dict[str, np.ndarray]:
@@ -301,7 +301,7 @@ class Trial:
     hall: Hall
     separated: Separated
     model: ModelDocument
-    verification: Verification
+    verification: VerificationResult
 
 
 def trial(path: Path, plan: Path, seed: int) -> Trial:

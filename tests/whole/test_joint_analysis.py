@@ -12,14 +12,14 @@ import pytest
 from rigid_machine import MACHINE, draw_rigid, measure
 
 from thetacomp.analysis import analyze_folder
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.files import write_files
 from thetacomp.fitting.key_point_law import AxisModel, fit_axis
 from thetacomp.report.analysis_files import table_files
 from thetacomp.report.figures_fit import fit_over_temperature
 from thetacomp.separation import separate_all
-from thetacomp.states import AxisStates, axis_states
 from thetacomp.validation.joint_view import with_drift
 
 
@@ -32,11 +32,11 @@ def folder(*, at: bool = True) -> MachineFolder:
 
 
 @pytest.fixture(scope="module")
-def joint() -> Analysis:
+def joint() -> AnalysisResult:
     return analyze_folder(folder())
 
 
-def test_the_model_is_joint_and_its_notes_say_what_was_assumed(joint: Analysis, tmp_path: Path) -> None:
+def test_the_model_is_joint_and_its_notes_say_what_was_assumed(joint: AnalysisResult, tmp_path: Path) -> None:
     assert joint.model.form == "joint"
     assert set(joint.model.control[""].components) == {"DX", "DY", "DZ"}
     for axis in "XYW":
@@ -53,7 +53,7 @@ def test_the_model_is_joint_and_its_notes_say_what_was_assumed(joint: Analysis, 
     assert "slope_urad_per_m" in rows[0]
 
 
-def test_held_out_rows_hold_the_whole_error_of_the_point(joint: Analysis) -> None:
+def test_held_out_rows_hold_the_whole_error_of_the_point(joint: AnalysisResult) -> None:
     """The same points as in the separate form: the errors before differ only by the shares of the other axes."""
     rows = [r for r in joint.validation if r.component == "EXY" and r.split == "campaign" and r.campaign == "a"]
     nothing = next(r for r in rows if r.model == "nothing")
@@ -66,7 +66,7 @@ def test_held_out_rows_hold_the_whole_error_of_the_point(joint: Analysis) -> Non
     assert {r.component for r in joint.validation} >= {"column_X", "column_Z"}
 
 
-def test_the_fit_of_an_axis_is_drawn_without_an_empty_intercept(joint: Analysis) -> None:
+def test_the_fit_of_an_axis_is_drawn_without_an_empty_intercept(joint: AnalysisResult) -> None:
     figures = {figure.name: figure for figure in fit_over_temperature(joint)}
     assert figures["fit_X"].title == "Slope against temperature, axis X" or "prediction" in figures["fit_X"].title
     assert [axes.get_title(loc="left").split(" ·")[0] for axes in figures["fit_X"].figure.axes[:3]] == [

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from thetacomp.campaign import Campaign, CampaignSettings
+from thetacomp.campaign_conditions import refuse_mixtures
 from thetacomp.errors import AnalysisError
-from thetacomp.mixtures import refuse_mixtures
 from thetacomp.model.temperatures import Temperatures
 
 

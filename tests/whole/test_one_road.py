@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from screening_folder import with_temperatures, write_folder
 from typer.testing import CliRunner
 
 from thetacomp.analysis import analyze_folder
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
@@ -25,7 +27,6 @@ from thetacomp.reading import read_folder
 from thetacomp.sensors.selection import key_points
 from thetacomp.sensors.sensor_curve import sensor_curve
 from thetacomp.separation import separate_folder
-from thetacomp.states import axis_states
 
 BEST = ("theta_11", "theta_13")
 
@@ -53,14 +54,22 @@ def joint() -> MachineFolder:
 FOLDERS = {"faulty": faulty, "joint": joint}
 
 
+@pytest.fixture(scope="module", autouse=True)
+def short_curves() -> Iterator[None]:
+    """One and two sensors of the curve tell what is compared here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("thetacomp.sensors.sensor_curve.MOST_SENSORS", 2)
+        yield
+
+
 @pytest.fixture(scope="module", params=list(FOLDERS))
-def roads(request: pytest.FixtureRequest) -> tuple[MachineFolder, Prepared, Trained, Analysis]:
+def roads(request: pytest.FixtureRequest) -> tuple[MachineFolder, Prepared, Trained, AnalysisResult]:
     folder = FOLDERS[request.param]()
     prepared = prepare(folder)
     return folder, prepared, train(prepared, lost=()), analyze_folder(folder)
 
 
-def test_all_roads_lead_to_the_same_sensors(roads: tuple[MachineFolder, Prepared, Trained, Analysis]) -> None:
+def test_all_roads_lead_to_the_same_sensors(roads: tuple[MachineFolder, Prepared, Trained, AnalysisResult]) -> None:
     """What `keypoints` and `keypoints --method exact` print comes from the states that `analyze` fits."""
     _, prepared, trained, analysis = roads
     chosen = [key_points(prepared.folder.machine, states) for states in prepared.training]
@@ -74,7 +83,9 @@ def test_all_roads_lead_to_the_same_sensors(roads: tuple[MachineFolder, Prepared
         assert searched.points[0].held_out_um == pytest.approx(stored[states.axis].points[0].held_out_um, rel=1e-12)
 
 
-def test_all_roads_lead_to_the_same_coefficients(roads: tuple[MachineFolder, Prepared, Trained, Analysis]) -> None:
+def test_all_roads_lead_to_the_same_coefficients(
+    roads: tuple[MachineFolder, Prepared, Trained, AnalysisResult],
+) -> None:
     """Verdict, notes of the validation and the fallbacks are all that `analyze` adds to what `train` fits."""
     _, _, trained, analysis = roads
     told: dict[str, Any] = {"held_out_um": None}
@@ -136,7 +147,7 @@ def test_campaigns_that_may_not_share_a_model_do_not_share_key_points(tmp_path: 
     assert run("keypoints", str(path), *named)["axes"]
 
 
-def test_results_print_in_a_few_lines(roads: tuple[MachineFolder, Prepared, Trained, Analysis]) -> None:
+def test_results_print_in_a_few_lines(roads: tuple[MachineFolder, Prepared, Trained, AnalysisResult]) -> None:
     folder, prepared, trained, analysis = roads
     for result in (prepared, trained, analysis):
         printed = repr(result)

@@ -10,15 +10,15 @@ from functools import lru_cache
 import pytest
 
 from thetacomp.analysis import analyze_folder
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.examples import TK6920, TK6920_EQUATIONS
 from thetacomp.reading import read_folder
+from thetacomp.validation.outcome import ValidationRow
 from thetacomp.validation.published import CoefficientComparison, compare_with_published, read_published_equations
-from thetacomp.validation.rows import ValidationRow
 
 
 @lru_cache
-def _analysis() -> Analysis:
+def _analysis() -> AnalysisResult:
     return analyze_folder(read_folder(TK6920))
 
 
@@ -75,17 +75,17 @@ def _comparison() -> tuple[CoefficientComparison, ...]:
 def test_temperature_coefficients_agree_with_print_within_10_percent() -> None:
     rows = _comparison()
     assert len(rows) == 36
-    strong = [row for row in rows if row.coefficient.endswith("per °C") and row.verdict != "weak"]
+    strong = [row for row in rows if row.coefficient.endswith("per °C") and row.outcome != "weak"]
     assert len(strong) == 12
     for row in strong:
         expected = "reversed" if row.equation == 11 else "agrees"
-        assert row.verdict == expected, row
+        assert row.outcome == expected, row
 
 
 def test_equation_11_is_reported_as_reversed() -> None:
     rows = _comparison()
-    assert {row.verdict for row in rows if row.equation == 11} == {"reversed"}
-    assert "reversed" not in {row.verdict for row in rows if row.equation != 11}
+    assert {row.outcome for row in rows if row.equation == 11} == {"reversed"}
+    assert "reversed" not in {row.outcome for row in rows if row.equation != 11}
 
 
 def test_unproven_sign_is_carried_into_every_output() -> None:

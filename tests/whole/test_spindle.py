@@ -14,16 +14,16 @@ from pathlib import Path
 import pytest
 
 from thetacomp.analysis import analyze_folder
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.reading import read_folder
-from thetacomp.validation.rows import ValidationRow
+from thetacomp.validation.outcome import ValidationRow
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "spindle"
 DATA = "caiviac_fl_thermal/data.xlsx"
 
 
 @lru_cache
-def _analysis(data: Path, folder: Path) -> Analysis:
+def _analysis(data: Path, folder: Path) -> AnalysisResult:
     shutil.copytree(EXAMPLE, folder)
     recording = folder / "recording.toml"
     text = recording.read_text(encoding="utf-8")
@@ -33,11 +33,11 @@ def _analysis(data: Path, folder: Path) -> Analysis:
 
 
 @pytest.fixture
-def analysis(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Analysis:
+def analysis(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> AnalysisResult:
     return _analysis(shared_data, tmp_path_factory.getbasetemp() / "spindle")
 
 
-def _row(analysis: Analysis, component: str, model: str) -> ValidationRow:
+def _row(analysis: AnalysisResult, component: str, model: str) -> ValidationRow:
     (row,) = (
         r
         for r in analysis.validation
@@ -52,7 +52,7 @@ def _row(analysis: Analysis, component: str, model: str) -> ValidationRow:
     [("DX", 6.9, 1.6, 6.5), ("DY", 6.3, 1.9, 23.3), ("DZ", 6.8, 2.5, 10.5)],
 )
 def test_baselines_are_those_computed_elsewhere(
-    analysis: Analysis, component: str, held_out_um: float, in_sample_um: float, mean_um: float
+    analysis: AnalysisResult, component: str, held_out_um: float, in_sample_um: float, mean_um: float
 ) -> None:
     plain = _row(analysis, component, "all_sensors")
     assert plain.n == 11115
@@ -64,7 +64,7 @@ def test_baselines_are_those_computed_elsewhere(
 
 
 @pytest.mark.shared_data(DATA)
-def test_plain_least_squares_shows_that_its_bounds_are_not_honest(analysis: Analysis) -> None:
+def test_plain_least_squares_shows_that_its_bounds_are_not_honest(analysis: AnalysisResult) -> None:
     """In-sample it looks five times better than it is; its 95 % interval holds less than half of the unseen points."""
     assert _row(analysis, "DX", "all_sensors").coverage_percent < 60
 
@@ -72,7 +72,7 @@ def test_plain_least_squares_shows_that_its_bounds_are_not_honest(analysis: Anal
 @pytest.mark.shared_data(DATA)
 @pytest.mark.parametrize(("component", "most_um"), [("DX", 1.8), ("DY", 3.3), ("DZ", 2.5)])
 def test_the_default_model_holds_on_campaigns_it_has_not_seen(
-    analysis: Analysis, component: str, most_um: float
+    analysis: AnalysisResult, component: str, most_um: float
 ) -> None:
     """Limits of the project; measured 1.52, 3.22 and 2.32 µm, where plain least squares leaves 6.9, 6.3 and 6.8."""
     assert _row(analysis, component, "default").rms_after_um <= most_um

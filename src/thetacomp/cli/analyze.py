@@ -12,8 +12,8 @@ from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, progress_li
 from thetacomp.extras import require
 
 if TYPE_CHECKING:
-    from thetacomp.analysis_result import Analysis
-    from thetacomp.validation.rows import ValidationRow
+    from thetacomp.analysis_result import AnalysisResult
+    from thetacomp.validation.outcome import ValidationRow
 
 
 def analyze(
@@ -62,7 +62,7 @@ def analyze(
     run(work, as_json)
 
 
-def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
+def summary(analysis: AnalysisResult, out: Path, paths: tuple[Path, ...]) -> Outcome:
     """What a person wants to read first: key points, before and after, fit for use or not, where to look."""
     failed = [check for check in analysis.acceptance if not check.passed]
     lines = [f"machine {analysis.model.machine}, {len(analysis.model.components)} error components"]
@@ -114,7 +114,7 @@ def summary(analysis: Analysis, out: Path, paths: tuple[Path, ...]) -> Outcome:
     return Outcome("\n".join(lines), data, NOT_FIT if failed else DONE)
 
 
-def _screening_lines(analysis: Analysis) -> list[str]:
+def _screening_lines(analysis: AnalysisResult) -> list[str]:
     """One line where faults were found: nobody should read the figures without knowing."""
     found = analysis.screening
     if found is None or not (found.findings or found.held):
@@ -130,7 +130,7 @@ def _screening_lines(analysis: Analysis) -> list[str]:
 SHOWN = ("default", "key_points", "clock", "one_sensor", "all_sensors", "training_mean")
 
 
-def _before_and_after(analysis: Analysis) -> list[str]:
+def _before_and_after(analysis: AnalysisResult) -> list[str]:
     """Held-out figures of the column deviation, or of all components where no column was measured."""
     rows = [row for row in analysis.validation if row.split != "forward" and row.model in SHOWN]
     column = [row for row in rows if row.component.startswith("column")]

@@ -92,7 +92,7 @@ def _print(outcome: Outcome, as_json: bool) -> None:
 
 
 def _leave_quietly(exit_code: int) -> NoReturn:
-    """End without a word on the way out: the reader of a pipe (head, less) left early, or the console is full."""
+    """End without a message: the reader of a pipe (head, less) left early, or the console is full."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):  # streams of a test have no number
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

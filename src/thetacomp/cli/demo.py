@@ -1,4 +1,4 @@
-"""`thetacomp demo`: every command of a first day, run on the bundled machine, with a word on what each one is for."""
+"""`thetacomp demo`: every command of a first day, run on the bundled machine, with a line on what each one is for."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def _run_command(context: typer.Context, arguments: list[str], as_json: bool) ->
 
 
 def _in_short(results: Path) -> str:
-    """The column deviation held out in two ways, the model beside the clock, from the tables of the analysis."""
+    """The column deviation held out in two ways, model and clock, from the tables of the analysis."""
     lines = ["In short: reduction of the largest column deviation, on data that the model has not seen"]
     for file, held_out in (
         ("validation.csv", "each state in turn"),
@@ -153,9 +153,9 @@ def _against_print(folder: Path, path: Path) -> str:
     rows = compare_with_published(read_published_equations(TK6920_EQUATIONS), read_folder(folder))
     columns = [field.name for field in fields(rows[0])]
     write_file(path, csv_text(columns, map(astuple, rows), "\r\n"))
-    strong = [row for row in rows if row.coefficient.endswith("per °C") and row.verdict != "weak"]
-    close = [row for row in strong if row.verdict != "differs"]
-    turned = sorted({(row.equation, row.component) for row in rows if row.verdict == "reversed"})
+    strong = [row for row in rows if row.coefficient.endswith("per °C") and row.outcome != "weak"]
+    close = [row for row in strong if row.outcome != "differs"]
+    turned = sorted({(row.equation, row.component) for row in rows if row.outcome == "reversed"})
     reversed_text = ", ".join(f"({number}), {component}," for number, component in turned)
     return (
         "The printed equations against the tables, fitted the paper's way\n"

@@ -92,7 +92,7 @@ def _from_table(path: Path) -> tuple[Machine | None, list[Evaluated], list[Refus
 
 
 def _outcome(done: list[Evaluated], refused: list[Refused], paths: tuple[Path, ...]) -> Outcome:
-    from thetacomp.standards.rows import rows
+    from thetacomp.standards.figure_rows import figure_rows
 
     pages = [path for path in paths if path.suffix == ".html"]
     lines: list[str] = []
@@ -100,7 +100,7 @@ def _outcome(done: list[Evaluated], refused: list[Refused], paths: tuple[Path, .
     for test, page in zip(done, pages, strict=True):
         name = test.campaign.name if test.campaign is not None else ""
         lines += [f"{name}: {test.title}" if name else test.title, f"  {_short(test)}", f"  {page}"]
-        figures = [asdict(row) for row in rows(test)]
+        figures = [asdict(row) for row in figure_rows(test)]
         remarks = list(test.result.remarks)
         tests.append({"title": test.title, "campaign": name, "page": str(page), "figures": figures, "remarks": remarks})
     if refused:

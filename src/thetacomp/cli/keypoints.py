@@ -170,6 +170,8 @@ def _outcome(found: list[tuple[str, tuple[AxisKeyPoints, ...]]], notes: list[str
 def _data(result: AxisKeyPoints) -> dict[str, Any]:
     data = asdict(result)
     data["left_out"] = [{"parameter": name, "reason": reason} for name, reason in result.left_out]
+    for table in data["tables"]:
+        table["verdicts"] = table.pop("decisions")  # the key that scripts know
     return data
 
 
@@ -199,7 +201,7 @@ def _axis_text(source: str, result: AxisKeyPoints) -> str:
     for name, reason in result.left_out:
         lines += _wrapped("Left out:     ", f"{name}: {reason}")
     for table in result.tables:
-        if table.verdicts:
+        if table.decisions:
             lines += ["", *_table_text(table)]
     return "\n".join(lines)
 
@@ -207,18 +209,17 @@ def _axis_text(source: str, result: AxisKeyPoints) -> str:
 def _table_text(table: StrategyTable) -> list[str]:
     """One strategy: those that stay first; reasons wrap under themselves, so a narrow console shows them whole."""
     title = table.strategy[0].upper() + table.strategy[1:]
-    width = max(len(v.sensor) for v in table.verdicts)
+    width = max(len(v.sensor) for v in table.decisions)
     digits = 2 if "|r|" in table.figure_name else 1
     lines = _wrapped("", f"{title}: {table.figure_name}")
     without_figure: dict[str, list[str]] = {}
-    for verdict in sorted(table.verdicts, key=lambda v: not v.stays):
-        if math.isnan(verdict.figure) and not verdict.stays:
-            without_figure.setdefault(verdict.reason, []).append(verdict.sensor)
+    for decision in sorted(table.decisions, key=lambda v: not v.stays):
+        if math.isnan(decision.figure) and not decision.stays:
+            without_figure.setdefault(decision.reason, []).append(decision.sensor)
             continue
-        head = (
-            f"  {verdict.sensor:<{width}}  {'stays' if verdict.stays else 'goes ':<5}  {verdict.figure:6.{digits}f}  "
-        )
-        lines += _wrapped(head, verdict.reason)
+        stays = "stays" if decision.stays else "goes "
+        head = f"  {decision.sensor:<{width}}  {stays}  {decision.figure:6.{digits}f}  "
+        lines += _wrapped(head, decision.reason)
     for reason, sensors in without_figure.items():
         lines += _wrapped("  ", f"{', '.join(sensors)}: {reason}")
     return lines

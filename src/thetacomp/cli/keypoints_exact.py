@@ -40,7 +40,7 @@ class Search:
 
 
 def exact_key_points(path: Path, train: Sequence[str], mix: bool, search: Search, quiet: bool) -> Outcome:
-    """Search every axis of a folder; Ctrl-C ends the search and tells what is known until then."""
+    """Search every axis of a folder; Ctrl-C ends the search and reports what is known until then."""
     from thetacomp.errors import AnalysisError
     from thetacomp.preparation import prepare
     from thetacomp.reading import read_folder
@@ -79,7 +79,7 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
 
 
 def _progress(axis: str, quiet: bool) -> Callable[[int, SearchProgress], None]:
-    """Tells where a long search stands, every two seconds."""
+    """Reports the progress of a long search, every two seconds."""
     told_s = time.monotonic()
 
     def tell(count: int, state: SearchProgress) -> None:

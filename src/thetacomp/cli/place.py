@@ -1,4 +1,4 @@
-"""`thetacomp place`: where sensors tell most, from the field of the virtual machine."""
+"""`thetacomp place`: where sensors are most informative, from the field of the virtual machine."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _work(out: Path, preset: str, mounting_name: str, sensors: int, seed: int) -
     from thetatwin.mounting import load_mounting
     from thetatwin.placement_page import OWN, PAGE, placement_files
     from thetatwin.sensor_places import existing_margin_um, place_sensors
-    from thetatwin.virtual import build
+    from thetatwin.virtual_machine import build
 
     conditions = load_conditions(preset)
     description = load_description(conditions.machine)

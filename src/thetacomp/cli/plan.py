@@ -86,7 +86,7 @@ def _work(folder: Path, options: PlanOptions, out: Path) -> Outcome:
     toml = folder / "machine.toml"
     made = make_plan(read_machine(toml), options)
     files = write_plan(made, toml.read_bytes(), out, [folder])
-    exit_code = NOT_FIT if made.verdict.good is False else DONE
+    exit_code = NOT_FIT if made.assessment.good is False else DONE
     return Outcome(_text(made, files, out), _data(made, files, out), exit_code)
 
 
@@ -101,10 +101,10 @@ def _text(plan: MeasuringPlan, files: tuple[str, ...], out: Path) -> str:
         *(
             f"  {row.component:<9} {row.slope_se_um_per_m:8.1f} {row.intercept_se_um:6.1f} {row.drift_se_um:10.1f}"
             f" {row.visible_um:8.0f}"
-            for row in plan.reached
+            for row in plan.visible_changes
         ),
         *(f"note: {note}" for note in plan.notes),
-        plan.verdict.headline + ".",
+        plan.assessment.headline + ".",
         f"{len(files)} files in {out}. Open {out / files[0]} first; it says what to do before a program is started.",
     ]
     return "\n".join(lines)
@@ -122,8 +122,10 @@ def _data(plan: MeasuringPlan, files: tuple[str, ...], out: Path) -> dict[str, A
         "points": len(table.points),
         "length_s": table.blocks[-1].end_s,
         "reference_s": table.reference_s,
-        "reach": [{**vars(row), "end_se_um": row.end_se_um, "visible_um": row.visible_um} for row in plan.reached],
+        "reach": [
+            {**vars(row), "end_se_um": row.end_se_um, "visible_um": row.visible_um} for row in plan.visible_changes
+        ],
         "foundation_targets_mm": {target.name: target.at_mm.tolist() for target in plan.targets},
-        "good_enough": plan.verdict.good,
+        "good_enough": plan.assessment.good,
         "notes": list(plan.notes),
     }

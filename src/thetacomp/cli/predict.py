@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from thetacomp.model.prediction import Breach, Prediction, Reference
     from thetacomp.model.temperatures import Duty, Temperatures
     from thetacomp.model.volumetric import VolumePrediction
-    from thetacomp.reading.lone import Positions
+    from thetacomp.reading.single_tables import Positions
 
 EARLIEST_DATE_S = 1e8  # tables with dates count from 1970; no campaign runs for three years
 
@@ -102,7 +102,7 @@ def _place(path: Path) -> Callable[[int], str]:
 
         if path.suffix.lower() == ".xlsx":
             return f"{path.name}, data row {i + 1}"
-        # Rows may be apart where the file has blank lines: the file is asked again, but only for a message.
+        # Blank lines separate rows in the file: the file is read again, but only for a message.
         return f"{path.name}, row {int(read_source(path, path.name).rows[i])}"
 
     return place

@@ -41,10 +41,10 @@ def _work(out: Path, preset: str, seed: int, months: int, training: str, every_m
     from thetatwin.campaigns import make_twin
     from thetatwin.conditions import load_conditions
     from thetatwin.description import load_description
-    from thetatwin.trial.monthly import acceptance, monthly
+    from thetatwin.trial.monthly_figures import acceptance, monthly
     from thetatwin.trial.page import trial_files
     from thetatwin.trial.run import run_trial
-    from thetatwin.virtual import build
+    from thetatwin.virtual_machine import build
     from thetatwin.writer import refuse_filled
     from thetatwin.year import Schedule
 

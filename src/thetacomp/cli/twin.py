@@ -1,4 +1,4 @@
-"""`thetacomp twin`: a virtual machine and its campaigns as a machine folder, the truth beside it."""
+"""`thetacomp twin`: a virtual machine and its campaigns as a machine folder, the truth next to it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _work(out: Path, preset: str, seed: int, campaigns: int, places: Path | None
     from thetatwin.description import load_description
     from thetatwin.picture import campaign_figure, figure_content
     from thetatwin.sensor_sets import read_places, with_sensors
-    from thetatwin.virtual import build
+    from thetatwin.virtual_machine import build
     from thetatwin.writer import refuse_filled, truth_folder, write_twin
 
     refuse_filled(out)

@@ -11,7 +11,7 @@ import typer
 from thetacomp.cli.common import DONE, NOT_FIT, JsonOption, Outcome, progress_lines, run
 
 if TYPE_CHECKING:
-    from thetacomp.verification import Verification
+    from thetacomp.verification import VerificationResult
 
 
 def verify(
@@ -47,7 +47,7 @@ def verify(
     run(work, as_json)
 
 
-def _summary(result: Verification, paths: tuple[Path, ...]) -> Outcome:
+def _summary(result: VerificationResult, paths: tuple[Path, ...]) -> Outcome:
     from thetacomp.report.tables import component_name, number
 
     lines = [

@@ -18,7 +18,7 @@ def ascii_text(text: str) -> str:
 
 
 def ascii_names(names: Iterable[str], otherwise: str) -> dict[str, str]:
-    """A name in ASCII for each name, no two alike; `<otherwise>_<place>` where one cannot be spelled in full."""
+    """A name in ASCII for each name, all different; `<otherwise>_<place>` where one cannot be spelled in full."""
     wanted = tuple(names)
     out: dict[str, str] = {}
     # Names that are ASCII already keep their spelling, whatever comes before them.

@@ -19,7 +19,7 @@ Limit = Callable[[Floats, Floats], Floats]
 
 @dataclass(frozen=True)
 class Stage:
-    """One limit: `name` tells the cause; `apply(t_s, value)` gives the value that leaves it, both (n,)."""
+    """One limit: `name` is the cause; `apply(t_s, value)` gives the value that leaves it, both (n,)."""
 
     name: str
     apply: Limit

@@ -56,7 +56,7 @@ class ReplaySettings(Strict):
 
 
 class SinumerikSettings(Strict):
-    """`export.toml` for SINUMERIK. Every default that stands for an open question is said in the sheet.
+    """`export.toml` for SINUMERIK. Every default that leaves a question open is stated in the sheet.
 
     `sign_temperature`, `sign_cec`: +1 writes the error with its own sign; the sign test decides.
     `axis_name`: axis of the model -> channel axis of the control (default `X` -> `X1`); `axis_number`: its number n
@@ -189,7 +189,7 @@ class NotExported:
 
 
 @dataclass(frozen=True)
-class Plan:
+class RegisterPlan:
     """Everything that is written: registers, tables, and the grid of states (`grid_degC`: sensor -> (n,)).
 
     `unpredicted` names the errors that no sensor predicts: they are not compensated.
@@ -211,7 +211,9 @@ class Plan:
         return self.model.sign == "unproven"
 
 
-def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: str = "export.toml") -> Plan:
+def plan_registers(
+    model: ModelDocument, settings: SinumerikSettings, settings_file: str = "export.toml"
+) -> RegisterPlan:
     """Decide which register carries what.
 
     Raises InputError where the settings do not fit the model, AnalysisError where nothing can be exported.
@@ -250,7 +252,7 @@ def make_plan(model: ModelDocument, settings: SinumerikSettings, settings_file: 
     orphans = [law for law in bound.values() if not outputs[law.component.direction]]
     if len(orphans) == len(bound):
         raise AnalysisError(_nothing(every, orphans))
-    return Plan(
+    return RegisterPlan(
         model=model,
         settings=settings,
         axes=tuple(registers for registers in axes if registers.compensation_type),

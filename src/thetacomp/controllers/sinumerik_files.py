@@ -9,7 +9,7 @@ import numpy as np
 from thetacomp import __version__
 from thetacomp.controllers.ascii_text import ascii_names, ascii_text
 from thetacomp.controllers.base import RegisterLaw
-from thetacomp.controllers.sinumerik import GRID_STATES, TABLE_POINTS, Plan, SagTable
+from thetacomp.controllers.sinumerik import GRID_STATES, TABLE_POINTS, RegisterPlan, SagTable
 from thetacomp.controllers.sinumerik_remarks import failed_checks
 from thetacomp.table_file import Number, csv_text
 
@@ -33,7 +33,7 @@ def rounded(value: float, digits: int) -> str:
     return number(round(value, digits) + 0.0)
 
 
-def temperature_program(plan: Plan) -> str:
+def temperature_program(plan: RegisterPlan) -> str:
     """`sinumerik_temperature_compensation.spf`: machine data, start values at zero, and the law of every register."""
     lines = ["%_N_THETACOMP_TEMP_SPF", ";$PATH=/_N_SPF_DIR", *_head(plan)]
     lines += [
@@ -70,7 +70,7 @@ def temperature_program(plan: Plan) -> str:
     return _ascii([*lines, "M17"])
 
 
-def sag_tables(plan: Plan) -> str:
+def sag_tables(plan: RegisterPlan) -> str:
     """`sinumerik_cec.ini`: one straight table a cross error; SD41310 carries the slope."""
     lines = ["%_N_NC_CEC_INI", ";$PATH=/_N_NC_ACT/_N_CEC_DIR", *_head(plan)]
     lines += [
@@ -86,7 +86,7 @@ def sag_tables(plan: Plan) -> str:
     return _ascii([*lines, "M17"])
 
 
-def values_csv(plan: Plan) -> str:
+def values_csv(plan: RegisterPlan) -> str:
     """`sinumerik_values.csv`: temperatures of the inputs and what every register wants there."""
     columns = register_columns(plan)
     values = [law.at(plan.grid_degC) for _, law, _ in columns]
@@ -100,7 +100,7 @@ def values_csv(plan: Plan) -> str:
     return csv_text([*(f"{sensor}_degC" for sensor in plan.grid_degC), *(name for name, _, _ in columns)], rows)
 
 
-def register_columns(plan: Plan) -> list[tuple[str, RegisterLaw, int]]:
+def register_columns(plan: RegisterPlan) -> list[tuple[str, RegisterLaw, int]]:
     """Column name, law and decimal places of every register that changes with temperature."""
     out: list[tuple[str, RegisterLaw, int]] = []
     for axis in plan.axes:
@@ -128,12 +128,12 @@ def law_in_digits(law: RegisterLaw, um_per_unit: float) -> tuple[str, list[tuple
     return _seven(law.constant), terms
 
 
-def sensor_names(plan: Plan) -> dict[str, str]:
+def sensor_names(plan: RegisterPlan) -> dict[str, str]:
     """The inputs as ASCII files name them."""
     return ascii_names(plan.grid_degC, "sensor")
 
 
-def reference_lines(plan: Plan) -> list[str]:
+def reference_lines(plan: RegisterPlan) -> list[str]:
     """Whose temperatures the law counts from: one line, or one for each moment where there are several."""
     anew = "capture anew at each datum set, see sheet"
     if plan.settings.reference_degC is not None:
@@ -152,7 +152,7 @@ def _seven(value: float) -> str:
     return number(float(f"{value:.7g}"))
 
 
-def _laws(plan: Plan) -> list[tuple[str, RegisterLaw, float]]:
+def _laws(plan: RegisterPlan) -> list[tuple[str, RegisterLaw, float]]:
     """Label, law, and what one unit of the register does at most, in µm."""
     out: list[tuple[str, RegisterLaw, float]] = []
     for axis in plan.axes:
@@ -165,7 +165,7 @@ def _laws(plan: Plan) -> list[tuple[str, RegisterLaw, float]]:
     return out
 
 
-def _head(plan: Plan) -> list[str]:
+def _head(plan: RegisterPlan) -> list[str]:
     model = plan.model
     lines = [f"; thermal compensation for SINUMERIK, written by thetacomp {__version__}"]
     if plan.sign_unproven:
@@ -183,7 +183,7 @@ def _head(plan: Plan) -> list[str]:
     return lines
 
 
-def _table(plan: Plan, columns: list[tuple[str, RegisterLaw, int]]) -> list[str]:
+def _table(plan: RegisterPlan, columns: list[tuple[str, RegisterLaw, int]]) -> list[str]:
     names = [f"{sensor}_degC" for sensor in sensor_names(plan).values()]
     cells = [[f"{degC[i]:.3f}" for degC in plan.grid_degC.values()] for i in range(GRID_STATES)]
     for name, law, digits in columns:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from thetacomp.controllers.sinumerik import LeftOut, Plan
+from thetacomp.controllers.sinumerik import LeftOut, RegisterPlan
 from thetacomp.model.document import components_of
 
 
-def remarks(plan: Plan) -> tuple[str, ...]:
+def remarks(plan: RegisterPlan) -> tuple[str, ...]:
     """Everything to be said on the console: drift that does not agree, and errors that are not compensated."""
     worst = worst_drift(plan)
     drift = (f"DRIFT DOES NOT AGREE: {worst}",) if worst else ()
     return (*drift, *left_to_history(plan), *not_compensated(plan))
 
 
-def left_to_history(plan: Plan) -> tuple[str, ...]:
+def left_to_history(plan: RegisterPlan) -> tuple[str, ...]:
     """What the law on key temperatures gives away against the model on heat history, held out."""
     worse = []
     used = components_of(plan.model.prediction)
@@ -27,13 +27,13 @@ def left_to_history(plan: Plan) -> tuple[str, ...]:
     return (f"the control carries the law on key temperatures; heat history needs filters that run next to it.{told}",)
 
 
-def differing(plan: Plan) -> tuple[LeftOut, ...]:
+def differing(plan: RegisterPlan) -> tuple[LeftOut, ...]:
     """Intercepts left out that differ from the one in use by more than the 95 % bound; the worst first."""
     found = [one for one in plan.left_out if one.differs]
     return tuple(sorted(found, key=lambda one: -abs(one.difference_um)))
 
 
-def worst_drift(plan: Plan) -> str:
+def worst_drift(plan: RegisterPlan) -> str:
     """The worst pair of intercepts that do not agree, and what this means; empty where all agree."""
     found = differing(plan)
     if not found:
@@ -52,7 +52,7 @@ def worst_drift(plan: Plan) -> str:
     )
 
 
-def not_compensated(plan: Plan) -> tuple[str, ...]:
+def not_compensated(plan: RegisterPlan) -> tuple[str, ...]:
     """One sentence for every error of the model that no register carries, with its size."""
     return (
         *(
@@ -68,7 +68,7 @@ def not_compensated(plan: Plan) -> tuple[str, ...]:
     )
 
 
-def failed_checks(plan: Plan) -> str:
+def failed_checks(plan: RegisterPlan) -> str:
     """How many acceptance checks the model failed, as the head of their list; empty where none failed."""
     count = len(plan.model.failed_export_checks)
     return f"the model failed {count} acceptance check{'s' if count > 1 else ''}" if count else ""

@@ -28,7 +28,7 @@ from thetacomp.controllers.replay import (
     replay,
     sample_and_hold,
 )
-from thetacomp.controllers.sinumerik import Plan, SagTable, SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik import RegisterPlan, SagTable, SinumerikSettings, plan_registers
 from thetacomp.errors import AnalysisError
 from thetacomp.model.document import ModelDocument
 
@@ -84,7 +84,7 @@ def replay_campaign(
 
     Raises AnalysisError where a sensor of the model has no value at that moment.
     """
-    sized = make_plan(model, settings)
+    sized = plan_registers(model, settings)
     lacking = [s for s in sized.grid_degC if s not in temperature_degC or not np.isfinite(temperature_degC[s][0])]
     if lacking:
         raise AnalysisError(
@@ -93,7 +93,7 @@ def replay_campaign(
         )
     degC = {sensor: temperature_degC[sensor] for sensor in sized.grid_degC}
     reference = {sensor: float(value[0]) for sensor, value in degC.items()}
-    plan = make_plan(model, settings.model_copy(update={"reference_degC": reference}))
+    plan = plan_registers(model, settings.model_copy(update={"reference_degC": reference}))
     registers = _registers(plan, sized, settings, degC, len(t_s))
     return CampaignReplay(
         campaign=campaign,
@@ -106,7 +106,9 @@ def replay_campaign(
     )
 
 
-def _registers(plan: Plan, sized: Plan, settings: SinumerikSettings, degC: dict[str, Floats], n: int) -> list[Register]:
+def _registers(
+    plan: RegisterPlan, sized: RegisterPlan, settings: SinumerikSettings, degC: dict[str, Floats], n: int
+) -> list[Register]:
     """Registers of the plan with their way through writer and control; clamps are those of the commissioning sheet."""
     speed_mm_per_s = settings.replay.md32000_mm_per_min / 60.0
     temperature_um_per_s = 1e3 * settings.md32760_comp_add_velo_factor * speed_mm_per_s
@@ -131,7 +133,7 @@ def _registers(plan: Plan, sized: Plan, settings: SinumerikSettings, degC: dict[
     return out + _sums(plan, out)
 
 
-def _sums(plan: Plan, registers: list[Register]) -> list[Register]:
+def _sums(plan: RegisterPlan, registers: list[Register]) -> list[Register]:
     """The sum of all sag tables of an output axis in µm, every base axis at its worst position."""
     out = []
     for name, limit_mm in plan.max_sum_mm.items():
@@ -171,7 +173,7 @@ def _register(
     return Register(axis, name, wanted, um_per_unit, tuple(stages))
 
 
-def _motion(registers: list[Register], plan: Plan, settings: SinumerikSettings) -> tuple[MotionCheck, ...]:
+def _motion(registers: list[Register], plan: RegisterPlan, settings: SinumerikSettings) -> tuple[MotionCheck, ...]:
     """The compensation that changes because the axis moves at full speed, against what the control allows."""
     speed_mm_per_s = settings.replay.md32000_mm_per_min / 60.0
     out = []

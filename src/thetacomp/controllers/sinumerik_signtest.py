@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from thetacomp.controllers.sinumerik import AxisRegisters, Plan, SagTable
+from thetacomp.controllers.sinumerik import AxisRegisters, RegisterPlan, SagTable
 from thetacomp.controllers.sinumerik_files import number
 
 TEST_MM = 0.010
@@ -27,7 +27,7 @@ class SignTest:
     opposite: int
 
 
-def sign_tests(plan: Plan) -> tuple[SignTest, ...]:
+def sign_tests(plan: RegisterPlan) -> tuple[SignTest, ...]:
     """Tests of all registers, in the order of the sheet."""
     tests: list[SignTest] = []
     for axis in plan.axes:
@@ -45,7 +45,7 @@ def sign_tests(plan: Plan) -> tuple[SignTest, ...]:
 
 
 def _axis_test(
-    plan: Plan, axis: AxisRegisters, register: str, where: str, enter: tuple[str, str], value_mm: float
+    plan: RegisterPlan, axis: AxisRegisters, register: str, where: str, enter: tuple[str, str], value_mm: float
 ) -> SignTest:
     # With the right sign setting a positive register means that the axis stands too far along its positive direction.
     sign = plan.settings.sign_temperature
@@ -61,7 +61,7 @@ def _axis_test(
     )
 
 
-def _table_test(plan: Plan, table: SagTable) -> SignTest:
+def _table_test(plan: RegisterPlan, table: SagTable) -> SignTest:
     sign = plan.settings.sign_cec
     position_mm = _far_end(table.p0_mm, table.p_min_mm, table.p_max_mm)
     full_mm = table.register_mm[0] if position_mm == table.p_min_mm else table.register_mm[-1]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from thetacomp.arrays import Floats
 from thetacomp.controllers.base import Export, ExportFile, read_settings
-from thetacomp.controllers.sinumerik import SinumerikSettings, make_plan
+from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
 from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
 from thetacomp.controllers.sinumerik_remarks import remarks
 from thetacomp.controllers.sinumerik_replay import CampaignReplay, replay_campaign
@@ -22,7 +22,7 @@ def export_sinumerik(model: ModelDocument, settings_path: Path | None) -> Export
     Raises InputError where the settings do not fit, AnalysisError where nothing can be exported.
     """
     settings = read_settings(settings_path, SinumerikSettings)
-    plan = make_plan(model, settings, str(settings_path or "export.toml"))
+    plan = plan_registers(model, settings, str(settings_path or "export.toml"))
     files = [ExportFile("sinumerik_temperature_compensation.spf", temperature_program(plan))]
     if plan.tables:
         files.append(ExportFile(CEC_FILE, sag_tables(plan)))

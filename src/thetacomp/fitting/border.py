@@ -1,4 +1,4 @@
-"""Calibrating the border of validity on held-out campaigns, so that the flag is quiet where the model is at home."""
+"""Calibrating the border of validity on held-out campaigns, so that the flag stays quiet where the model holds."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.conformal import attainable_level, conformal_quantile, training_leverage
 from thetacomp.model.border import Validity, furthest
-from thetacomp.temperature.passage import Passage
+from thetacomp.temperature.trajectory import Trajectory
 
 QUIET_LEVEL = 0.9
 
 
 def calibrate_validity(
-    inputs: Floats, campaign: NDArray[Any], passed: Passage | None = None, quiet_level: float = QUIET_LEVEL
+    inputs: Floats, campaign: NDArray[Any], passed: Trajectory | None = None, quiet_level: float = QUIET_LEVEL
 ) -> Validity:
     """The border from the inputs (n, k) that a model was fitted on and their campaigns (n,).
 
-    Two measures share the work. The leverage is seen from the fitted moments: it tells what the coefficients know. The
-    range is that of all moments that the training campaigns `passed` through: while a machine is measured it stands,
-    and what it did in between was heat that the next measurement has judged. Without `passed` the fitted moments are
-    all there is. Every campaign is held out in turn, and its largest leverage and range over all its moments, seen
-    from the others, are noted. The larger of the two (each in units of its median) is the campaign's score, and the
-    border is the conformal quantile of the scores (Vovk, Gammerman and Shafer, *Algorithmic Learning in a Random
-    World*, 2005, with the campaign as the unit): a new campaign of the same kind stays inside from its first to its
-    last measurement with about the probability `quiet_level`. With too few campaigns the border is the largest score
-    and the attainable level is said. Raises AnalysisError for fewer than 2 campaigns.
+    Two measures share the work. The leverage comes from the fitted moments: it measures what the coefficients were
+    fitted on. The range is that of all moments that the training campaigns `passed` through: while a machine is
+    measured it stands, and what it did in between was heat that the next measurement has judged. Without `passed` the
+    fitted moments are all there is. Every campaign is held out in turn, and its largest leverage and range over all its
+    moments, seen from the others, are noted. The larger of the two (each in units of its median) is the campaign's
+    score, and the border is the conformal quantile of the scores (Vovk, Gammerman and Shafer, *Algorithmic Learning in
+    a Random World*, 2005, with the campaign as the unit): a new campaign of the same kind stays inside from its first
+    to its last measurement with about the probability `quiet_level`. With too few campaigns the border is the largest
+    score and the attainable level is said. Raises AnalysisError for fewer than 2 campaigns.
     """
     every, of = (inputs, campaign) if passed is None else (passed.inputs, passed.campaign)
     labels = np.unique(campaign)

@@ -9,6 +9,7 @@ import numpy as np
 
 from thetacomp import __version__
 from thetacomp.arrays import CARTESIAN
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.fallbacks import AxisFallback
 from thetacomp.fitting.key_point_law import COVERAGE, AxisModel
@@ -16,10 +17,9 @@ from thetacomp.fitting.linear import ThermalRegression
 from thetacomp.model.band import Band
 from thetacomp.model.border import Border
 from thetacomp.model.document import AxisLaw, Component, Fallback, ModelDocument, Reference, Term, Training
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage, regression_leverage
 from thetacomp.model.student import t_quantile
-from thetacomp.states import AxisStates
 
 
 def build_document(
@@ -89,7 +89,7 @@ def key_point_law(states: AxisStates, model: AxisModel, ranges: Border, datum: s
         p0_mm=None if drift else states.p0_mm,
         p_min_mm=None if drift else states.p_min_mm,
         p_max_mm=None if drift else states.p_max_mm,
-        layout=HistoryLayout.plain(inputs),
+        layout=InputLayout.plain(inputs),
         reference=Reference(
             campaign=states.campaigns[int(states.campaign[0])],
             t_s=float(states.reference_s[0]),

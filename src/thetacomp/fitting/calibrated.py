@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thetacomp.arrays import Bools, Floats
+from thetacomp.axis_states import AxisStates, Samples, curve_um
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.border import calibrate_validity
 from thetacomp.fitting.conformal import HeldOut, calibrate_band, held_out_leverage, training_leverage
@@ -15,9 +16,8 @@ from thetacomp.fitting.history_model import HistoryModel, history_procedure
 from thetacomp.fitting.prior import fit_prior
 from thetacomp.model.border import Border
 from thetacomp.model.document import AxisLaw, Component, Reference, Term
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.law import Law
-from thetacomp.states import AxisStates, Samples, curve_um
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
         ),
         leverage=training_leverage(moved, campaign),
         border=Border(
-            distance=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.passage),
+            distance=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.trajectory),
         ),
         components={},
         candidates=len(model.ridge.candidates),
@@ -128,7 +128,7 @@ def _held_out(states: AxisStates, k: int, left_out_um: Floats) -> HeldOut:
     return HeldOut(own.value_um - left_out_um[judged], held_out_leverage(own.history, campaign), campaign)
 
 
-def _sensor_columns(layout: HistoryLayout, states: AxisStates, values: Floats) -> Floats:
+def _sensor_columns(layout: InputLayout, states: AxisStates, values: Floats) -> Floats:
     return values[:, [states.sensors.index(name) for name in layout.sensors]]
 
 

@@ -15,7 +15,7 @@ level m / (m + 1): nine campaigns give 90 % at most, nineteen are needed for 95 
 The point at infinity prepares for the worst case, in which a campaign lies either wholly inside or wholly outside. On
 real rows it makes the band too wide: with m = 40 it takes the pooled quantile at 97.4 %. The band therefore takes the
 smallest quantile that holds the level when every campaign is judged by the others (`crossed_quantile`), and says
-beside it which level is guaranteed in the worst case.
+and the level that is guaranteed in the worst case.
 
 Where every campaign is needed for the fit, the residuals come from models that left out the campaign.
 The band then stands around the model of all campaigns, which is the jackknife form. Its coverage is near 1 - α for a
@@ -40,7 +40,7 @@ from thetacomp.model.band import Band
 from thetacomp.model.leverage import Leverage
 
 LEVEL = 0.95
-# directions with less than this share of an input's own mean square are not told from noise
+# directions with less than this share of an input's own mean square cannot be distinguished from noise
 FLOOR = 1e-2
 _TRIES = 41
 _GROWTH_RATIOS = tuple(float(ratio) for ratio in np.geomspace(0.1, 1e3, 21))
@@ -52,7 +52,7 @@ _KNEES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 class HeldOut:
     """Held-out rows, n of them: `residual_um` measured less predicted, `leverage` seen from the training campaigns.
 
-    `campaign` (n,) tells which rows belong together.
+    `campaign` (n,) says which rows belong together.
     """
 
     residual_um: Floats

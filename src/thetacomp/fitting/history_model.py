@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates, Samples, curve_um
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
-from thetacomp.model.filters import HistoryLayout
-from thetacomp.states import AxisStates, Samples, curve_um
+from thetacomp.model.filters import InputLayout
 
 MIN_CAMPAIGNS = 2
 
@@ -21,7 +21,7 @@ class HistoryModel:
 
     axis: str
     components: tuple[str, ...]
-    layout: HistoryLayout
+    layout: InputLayout
     ridge: HistoryRidge
 
     def predict(self, component: str, states: AxisStates, samples: Samples) -> tuple[Floats, Floats]:

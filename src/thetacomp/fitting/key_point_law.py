@@ -1,4 +1,4 @@
-"""The linear model of one moving axis: fitting it, applying it, and the baselines that stand beside it."""
+"""The linear model of one moving axis: fitting it, applying it, and the baselines it is compared with."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from scipy import special
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.axis_states import AxisStates, Samples
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.linear import ThermalRegression
 from thetacomp.sensors.key_points import AxisKeyPoints
-from thetacomp.states import AxisStates, Samples
 
 ELAPSED_TIME = "elapsed time"
 COVERAGE = 0.95
@@ -118,7 +118,7 @@ def known_sensors(states: AxisStates) -> tuple[str, ...]:
 
 
 def clock(states: AxisStates) -> AxisModel:
-    """Baseline: regression on elapsed time alone, no thermometer; with a constant, which makes it a harder rival."""
+    """Baseline: regression on elapsed time alone, no thermometer; with a constant, which makes it harder to beat."""
     return fit_axis(states, (ELAPSED_TIME,), constant=True)
 
 

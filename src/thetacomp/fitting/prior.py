@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 
-# ridge strength against the mean square of the rises; chosen on synthetic machines, where 0.03 to 0.3 do about alike
+# ridge strength against the mean square of the rises; chosen on synthetic machines, where 0.03 to 0.3 are about equal
 STRENGTH = 0.1
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import AxisModel, Procedure, fit_axis
 from thetacomp.machine import Machine
 from thetacomp.sensors.selection import key_points
-from thetacomp.states import AxisStates
 
 
 def key_point_procedure(machine: Machine) -> Procedure:

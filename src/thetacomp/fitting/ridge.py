@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.estimator import Regressor
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.moments import summarise
 
-# strengths relative to inputs of unit variance, half a decade apart
+# strengths relative to inputs of unit variance, half a decade between neighbours
 STRENGTHS: tuple[float, ...] = tuple(10.0 ** (k / 2) for k in range(-6, 7))
 _WEIGHT_POWER = 2.0
 
@@ -48,7 +48,7 @@ class BlockUse:
 Candidate = tuple[BlockUse, ...]
 
 
-def history_candidates(layout: HistoryLayout) -> tuple[Candidate, ...]:
+def history_candidates(layout: InputLayout) -> tuple[Candidate, ...]:
     """The fixed list of candidates for a layout: 144 with speed and its square, 8 without speed.
 
     Every candidate has the temperatures. It may have their differences to lags, speed lags (one power or all, narrow
@@ -156,7 +156,7 @@ def ridge_path(
 class HistoryRidge(Regressor):
     """The averaged block ridge as a scikit-learn regressor; fit(X, y, groups) with one group label a row.
 
-    `blocks` names the inputs block by block (`HistoryLayout.blocks`), `candidates` the block models to average.
+    `blocks` names the inputs block by block (`InputLayout.blocks`), `candidates` the block models to average.
     X (n, inputs) are differences from the reference row, y (n,) or (n, targets) errors in µm.
 
     After fit: `coef_` (inputs,) or (targets, inputs) in µm per unit of input; `weights_`, `strengths_` and

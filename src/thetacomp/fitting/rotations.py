@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.build import key_point_law, training_ranges
 from thetacomp.fitting.key_point_law import AxisModel, fit_axis
 from thetacomp.model.document import AxisLaw, Component, ModelDocument
 from thetacomp.separation import Separated
-from thetacomp.states import AxisStates, axis_states
 
 
-def with_form(
+def with_joint_form(
     document: ModelDocument,
     folder: MachineFolder,
     separated: Separated,

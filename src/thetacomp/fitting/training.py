@@ -7,20 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
-from thetacomp.fitting.fallbacks import AxisFallback, axis_fallbacks
+from thetacomp.fitting.fallbacks import AxisFallback, axis_fallbacks, with_fallbacks
+from thetacomp.fitting.fit_cache import CachedProcedure
 from thetacomp.fitting.history_model import MIN_CAMPAIGNS
 from thetacomp.fitting.key_point_law import AxisModel, Procedure
-from thetacomp.fitting.lost_sensors import with_fallbacks
-from thetacomp.fitting.once import Once
 from thetacomp.fitting.procedures import key_point_procedure, paper_procedure
-from thetacomp.fitting.rotations import with_form
+from thetacomp.fitting.rotations import with_joint_form
 from thetacomp.folds import hold_out, main_split
 from thetacomp.model.document import AxisLaw, ModelDocument
 from thetacomp.preparation import Prepared, Progress
-from thetacomp.states import AxisStates
 
 METHOD = "weighted key points with least squares; heat history with averaged block ridge where campaigns suffice"
 PAPER_METHOD = "paper: one key sensor, least squares"
@@ -32,9 +31,9 @@ Fitted = tuple[tuple[AxisStates, AxisModel], ...]
 class Procedures:
     """What was done to the training states, to be repeated whole inside every fold."""
 
-    key_points: Once[AxisModel]
-    paper: Once[AxisModel]
-    history: Once[CalibratedHistory]
+    key_points: CachedProcedure[AxisModel]
+    paper: CachedProcedure[AxisModel]
+    history: CachedProcedure[CalibratedHistory]
 
 
 @dataclass(frozen=True, repr=False)
@@ -76,7 +75,9 @@ def train(
     progress("choosing key points and fitting")
     machine = prepared.folder.machine
     procedures = Procedures(
-        Once(key_point_procedure(machine)), Once(paper_procedure(machine)), Once(calibrated_history)
+        CachedProcedure(key_point_procedure(machine)),
+        CachedProcedure(paper_procedure(machine)),
+        CachedProcedure(calibrated_history),
     )
     fitted = tuple((states, procedures.key_points(states)) for states in prepared.training)
     fitted_paper = _where_possible(prepared.training, procedures.paper)
@@ -111,11 +112,11 @@ def _document(
     history: Sequence[AxisLaw] = (),
 ) -> ModelDocument:
     plain = build_document(prepared.folder, fitted, method, prepared.train, prepared.notes, fallbacks, history)
-    return with_form(plain, prepared.folder, prepared.separated, fitted, prepared.train)
+    return with_joint_form(plain, prepared.folder, prepared.separated, fitted, prepared.train)
 
 
 def _where_possible(training: Sequence[AxisStates], procedure: Procedure) -> Fitted:
-    """The paper's model stands beside ours: an axis that it cannot serve does not stop the work."""
+    """The paper's model, for comparison: an axis that it cannot serve does not stop the analysis."""
     fitted = []
     for states in training:
         try:

@@ -161,7 +161,7 @@ def uncertainty_um(state: Adaptation, t_s: float, half_width_um: float, limits: 
 
 
 def probe_due(state: Adaptation, t_s: float, half_width_um: float, limits: Limits, most_um: float) -> bool:
-    """Whether a probe is to be asked for: the uncertainty has grown beyond `most_um`."""
+    """Whether a probe is due: the uncertainty has grown beyond `most_um`."""
     return uncertainty_um(state, t_s, half_width_um, limits) > most_um
 
 
@@ -181,7 +181,7 @@ def _walked(state: Adaptation, t_s: float, limits: Limits) -> Floats:
     walk = np.array([limits.offset_walk_um, *limits.slope_walk])
     covariance = np.array(state.covariance) + np.diag(walk**2 * hours)
     most = np.array([limits.offset_most_um, *limits.slope_most])
-    # scaling rows and columns alike keeps the matrix a covariance
+    # scaling rows and columns by the same factors keeps the matrix a covariance
     shrink = np.minimum(1.0, most / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
     walked: Floats = covariance * np.outer(shrink, shrink)
     return walked

@@ -24,7 +24,7 @@ MARGIN_MM = 1.0
 
 @dataclass(frozen=True)
 class Limit:
-    """One quantity of a law beside what it was trained on: a temperature (°C), its rise (K) or a position (mm).
+    """One quantity of a law against its range in training: a temperature (°C), its rise (K) or a position (mm).
 
     A law with many inputs has a distance from training instead of temperatures and rises; it is 1 at the border.
     `name` is the sensor or the axis; `value` and `inside` are (n,), `inside` with the margin; a missing value is

@@ -8,7 +8,7 @@ from thetacomp.model.band import Band
 from thetacomp.model.border import Border
 from thetacomp.model.document import AxisLaw, Component, Fallback, ModelDocument, Reference, Term
 from thetacomp.model.fallback import without_sensor
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage
 
 # 100 mm, or 10 % of a length, for one unit of an input: far beyond any machine, near enough to keep sums finite.
@@ -84,7 +84,7 @@ def _travel(law: AxisLaw) -> Iterator[str]:
         yield f"a position beyond {LONGEST_MM / 1e6:g} km"
 
 
-def _layout(layout: HistoryLayout) -> Iterator[str]:
+def _layout(layout: InputLayout) -> Iterator[str]:
     if len(set(layout.sensors)) < len(layout.sensors):
         yield "layout: a sensor is listed twice"
     if layout.time_constants_s and not layout.sensors:

@@ -17,7 +17,7 @@ from thetacomp.files import write_file
 from thetacomp.machine import Axis, Strict, WantedLength
 from thetacomp.model.band import Band
 from thetacomp.model.border import Border
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage
 
 FORMAT: Literal[2] = 2
@@ -90,7 +90,7 @@ class Fallback(Strict):
     """
 
     lost: str
-    layout: HistoryLayout
+    layout: InputLayout
     reference: Reference
     components: dict[str, Component]
     accuracy: dict[str, Accuracy]
@@ -110,7 +110,7 @@ class AxisLaw(Strict):
     p0_mm: float | None = None
     p_min_mm: float | None = None
     p_max_mm: float | None = None
-    layout: HistoryLayout
+    layout: InputLayout
     reference: Reference
     leverage: Leverage
     border: Border
@@ -134,7 +134,7 @@ class ModelDocument(Strict):
     `control` holds by axis ("" for drift) the law on a few key temperatures, which any control can carry;
     `prediction` the law on heat history, which predictions use where an axis has one. `failed_checks` names the
     acceptance checks that the model in use failed, `failed_static_checks` those that `control` failed, where that is
-    not what is in use: whoever uses one of them must see its own.
+    not what is in use: a user of one of them must see its own.
 
     `form`: in the "joint" form the components `DX`, `DY`, `DZ` hold the drift of all axes and every `E..` is zero at
     its P0, with the tool of `tool_length_mm`; `axes` then stand in the order from the workpiece to the tool. In the

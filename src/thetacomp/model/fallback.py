@@ -18,7 +18,7 @@ DECAY_S = 4 * 3600.0
 
 
 @dataclass(frozen=True)
-class Carried:
+class BumplessTransfer:
     """What is added to the running law since the change at `t_s`: one value each of the outputs that were carried.
 
     The outputs are those that must not jump: an offset in µm, or intercept (µm) and slope (µm/m) so that no position
@@ -38,12 +38,14 @@ class Carried:
         return tuple(left * value for value in self.values)
 
 
-def carry_over(t_s: float, output: Sequence[float], law: Sequence[float], decay_s: float | None = DECAY_S) -> Carried:
+def start_transfer(
+    t_s: float, output: Sequence[float], law: Sequence[float], decay_s: float | None = DECAY_S
+) -> BumplessTransfer:
     """Carry the output over to another law: `output` is what was put out last, `law` what the new law says.
 
-    Serves every change of laws alike: to a fallback, to another one, and back when the sensor returns.
+    Serves every change of laws: to a fallback, to another one, and back when the sensor returns.
     """
-    return Carried(t_s, tuple(old - new for old, new in zip(output, law, strict=True)), decay_s)
+    return BumplessTransfer(t_s, tuple(old - new for old, new in zip(output, law, strict=True)), decay_s)
 
 
 @dataclass(frozen=True)

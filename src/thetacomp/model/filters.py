@@ -31,7 +31,7 @@ SPEED = "spindle_rpm"
 
 @dataclass(frozen=True)
 class FilterState:
-    """What the filters remember: enough to go on after a pause, apart from any datum.
+    """What the filters remember: enough to continue after a pause, independent of any datum.
 
     `signal` (signals,) is the last good input, held until the next one; `lag` (time constants, signals) the filters'
     outputs at `t_s`; NaN for a signal that never had a good value.
@@ -150,8 +150,8 @@ def _lag(time: Floats, held: Floats, start: Floats) -> Floats:
     return out
 
 
-class HistoryLayout(Strict):
-    """Which inputs a model with heat history has, in which order.
+class InputLayout(Strict):
+    """Which inputs a law has, in which order.
 
     `sensors` name the temperatures. `time_constants_s` are the lags; without any the temperatures are all there is.
     `speed_powers` are the powers of the spindle speed that drive lags (none: speed is not used). `base_degC` is the
@@ -164,7 +164,7 @@ class HistoryLayout(Strict):
     base_degC: float = 0.0
 
     @classmethod
-    def plain(cls, sensors: Sequence[str]) -> HistoryLayout:
+    def plain(cls, sensors: Sequence[str]) -> InputLayout:
         """Temperatures as they are: no lags, no speed."""
         return cls(sensors=tuple(sensors), time_constants_s=(), speed_powers=())
 
@@ -217,7 +217,7 @@ class HistoryLayout(Strict):
 
 
 def history_inputs(
-    layout: HistoryLayout, t_s: Floats, temperature_degC: Floats, speed_rpm: Floats | None = None
+    layout: InputLayout, t_s: Floats, temperature_degC: Floats, speed_rpm: Floats | None = None
 ) -> Floats:
     """Inputs (n, inputs) of one unbroken recording, with filters that start at rest on its first row."""
     signals = layout.signals(temperature_degC, speed_rpm)
@@ -227,7 +227,7 @@ def history_inputs(
     return layout.inputs(signals, lags)
 
 
-def recorded_inputs(layout: HistoryLayout, temperatures: Temperatures, duty: Duty | None) -> tuple[Floats, Floats]:
+def recorded_inputs(layout: InputLayout, temperatures: Temperatures, duty: Duty | None) -> tuple[Floats, Floats]:
     """Times (n,) and inputs (n, k) of an unbroken recording, gaps bridged, with filters at rest at its start.
 
     Raises AnalysisError for a sensor without a column, and where the layout has speeds and the duty has none.

@@ -13,7 +13,7 @@ from thetacomp.machine import Axis, Strict, WantedLength
 from thetacomp.model import document as now
 from thetacomp.model.band import Band
 from thetacomp.model.border import Border, Validity
-from thetacomp.model.filters import HistoryLayout
+from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage, regression_leverage
 from thetacomp.model.student import t_quantile
 
@@ -122,7 +122,7 @@ class _HistoryComponent(Strict):
 
 class _HistoryFallback(Strict):
     lost: str
-    layout: HistoryLayout
+    layout: InputLayout
     reference_inputs: tuple[float, ...]
     components: dict[str, _HistoryComponent]
     accuracy: dict[str, now.Accuracy]
@@ -133,7 +133,7 @@ class _HistoryAxis(Strict):
     p0_mm: float | None
     p_min_mm: float | None
     p_max_mm: float | None
-    layout: HistoryLayout
+    layout: InputLayout
     reference: _HistoryReference
     reach: _Reach
     validity: _Validity
@@ -223,7 +223,7 @@ def _static_law(parts: Mapping[str, _Component], training: _Training) -> now.Axi
         p0_mm=first.p0_mm,
         p_min_mm=first.p_min_mm,
         p_max_mm=first.p_max_mm,
-        layout=HistoryLayout.plain(sensors),
+        layout=InputLayout.plain(sensors),
         reference=now.Reference(
             campaign=first.reference.campaign, t_s=first.reference.t_s, inputs=tuple(zero[s] for s in sensors)
         ),
@@ -384,7 +384,7 @@ def _history_component(axis: str, name: str, old: _HistoryComponent) -> now.Comp
     if any((model is None) != (prior is None) for model, prior in pairs) or (pairs[1][0] is None and pairs[2][0]):
         raise ValueError(f"history.{axis or 'drift'}: {name}: a slope or bend without its prior, or a bend alone")
     band, scale = old.band, old.band.scale
-    # The smallest displacement there is stands for a scatter of none, so that the growth keeps its measure.
+    # A scatter of zero is replaced by the smallest displacement possible, so that the growth keeps its scale.
     sd_um = max(scale.base_um, 1e-6)
     return now.Component(
         direction=old.direction,

@@ -214,7 +214,7 @@ class ComponentLaw:
     def largest(self, power: int, box_degC: Box) -> float:
         """Largest |value| of a term inside the box of temperatures, with its 95 % prediction bound, in its unit.
 
-        The bound is left out where the fit has no degree of freedom to tell it.
+        The bound is left out where the fit has no degree of freedom left to estimate it.
         """
         coefficients = np.array(self.component.terms[power].coefficients or (0.0,) * len(self.inputs))
         span_K = np.array([box_degC[sensor] for sensor in self.inputs]).reshape(-1, 2) - self.law.zero[:, None]

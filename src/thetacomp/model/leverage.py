@@ -4,7 +4,7 @@ The leverage is `h(x) = at_centre + zᵀ (C + floor · 1)⁻¹ z` with `z = (x -
 over training. It is the squared Mahalanobis distance with a floor for the directions that training hardly moved in. A
 ridge regression's variance grows in proportion to it (Hoerl and Kennard, Technometrics 12, 1970, eq. 2.3, with the
 floor as the ridge). Only the leading directions of C are kept; what lies outside them counts by the floor alone, as
-the Q statistic does beside Hotelling's T² in process monitoring (Jackson and Mudholkar, Technometrics 21, 1979).
+the Q statistic does next to Hotelling's T² in process monitoring (Jackson and Mudholkar, Technometrics 21, 1979).
 Least squares is the case without a floor: there C is the sum of squares, and h is the textbook leverage.
 """
 

@@ -15,7 +15,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.model.border import Limit
 from thetacomp.model.document import Accuracy, AxisLaw, ModelDocument
 from thetacomp.model.fallback import degraded
-from thetacomp.model.filters import HistoryLayout, recorded_inputs
+from thetacomp.model.filters import InputLayout, recorded_inputs
 from thetacomp.model.law import Law, LawValues, joined
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.wanted_length import follows_workpiece, length_error_um
@@ -64,7 +64,7 @@ class Prediction:
 
     `error_um`, `lower_um` and `upper_um` are (n, 3) along machine X, Y, Z; NaN where the model has no such component,
     where a temperature is missing, or (bounds only) where the fit had no degree of freedom. `in_domain` is (n,);
-    `missing` (n,) marks rows without a temperature; `breaches` tells why rows lie outside. `replaced` names the
+    `missing` (n,) marks rows without a temperature; `breaches` says why rows lie outside. `replaced` names the
     components that came from a fallback because the table lacks a sensor, with the accuracy of it.
     """
 
@@ -173,7 +173,7 @@ class Recording:
 
     def __init__(self, temperatures: Temperatures, duty: Duty | None, reference: Reference) -> None:
         self.temperatures, self.duty, self.reference = temperatures, duty, reference
-        self._inputs: dict[HistoryLayout, Temperatures] = {}
+        self._inputs: dict[InputLayout, Temperatures] = {}
 
     def values(self, axis: AxisLaw, t_s: Floats) -> LawValues:
         """The law of an axis at moments (n,) on the clock of the temperatures; filters start at rest on the first."""
@@ -190,7 +190,7 @@ class Recording:
             parts.append(law.at(now - law.zero, now[:, :sensors]))
         return joined(parts)
 
-    def _inputs_of(self, layout: HistoryLayout) -> Temperatures:
+    def _inputs_of(self, layout: InputLayout) -> Temperatures:
         if layout not in self._inputs:
             duty = self.duty if layout.speed_powers else None
             _check_duty_clock(self.temperatures, duty)
@@ -249,7 +249,7 @@ class _Table:
 
 
 def write_prediction(prediction: Prediction, path: Path) -> None:
-    """Write the prediction as CSV or .xlsx, by the ending of `path`; an empty cell is a value that cannot be told."""
+    """Write the prediction as CSV or .xlsx, by the ending of `path`; an empty cell is a value that is not known."""
     header = ["t_s", "axis", "position_mm", *(f"d{d}_um" for d in CARTESIAN)]
     header += [f"d{d}_{side}_um" for d in CARTESIAN for side in ("lo", "hi")]
     rows: Iterator[list[Cell]] = (

@@ -89,7 +89,7 @@ class Temperatures:
         return replace(self, value_degC=self.at(self.t_s))
 
     def unbridged_at(self, t_s: Floats) -> Floats:
-        """Temperatures at other times, shape (len(t_s), sensors): linear between two samples, NaN beside a missing one.
+        """Temperatures at other times, (len(t_s), sensors): linear between two samples, NaN next to a missing one.
 
         After the last sample it holds for one sampling interval, no longer: a logger that stopped must not look like a
         machine that stays warm.
@@ -124,7 +124,7 @@ class Duty:
 
 
 def between_samples(sample_s: Floats, value: Floats, t_s: Floats) -> Floats:
-    """Values (len(t_s), k) of n samples (n, k) at other times: linear, held at the ends, NaN beside a missing value."""
+    """Values (len(t_s), k) of samples (n, k) at other times: linear, held at the ends, NaN next to a missing value."""
     after = np.clip(np.searchsorted(sample_s, t_s, side="left"), 0, len(sample_s) - 1)
     before = np.where((sample_s[after] > t_s) & (after > 0), after - 1, after)
     step_s = np.where(after > before, sample_s[after] - sample_s[before], 1.0)

@@ -162,7 +162,7 @@ class _Volume:
 
 
 def write_volume(prediction: VolumePrediction, path: Path) -> None:
-    """Write the prediction as CSV or .xlsx, by the ending of `path`; an empty cell is a value that cannot be told."""
+    """Write the prediction as CSV or .xlsx, by the ending of `path`; an empty cell is a value that is not known."""
     axes = list(prediction.positions_mm)
     header = ["t_s", *(f"{name}_mm" for name in axes), "tool_length_mm", *(f"d{d}_um" for d in CARTESIAN)]
     header += [f"d{d}_{side}_um" for d in CARTESIAN for side in ("lo", "hi")]

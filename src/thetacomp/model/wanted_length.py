@@ -1,4 +1,4 @@
-"""The length that is wanted: where parts shall be right at 20 °C, the tool follows the workpiece. Numpy only.
+"""The wanted length: where parts are to be true at 20 °C, the tool follows the workpiece. Numpy only.
 
 A workpiece at θ is longer by α (θ - 20 °C) for each unit of length. A machine that is true to the metre cuts it too
 short by that, once it has cooled. To follow it, the wanted position of the tool is `p + α (θ - 20) (p - zero)`, so the

@@ -11,7 +11,7 @@ from thetacomp.arrays import CARTESIAN
 from thetacomp.planning.foundation import FoundationTarget, tool_reach_mm
 from thetacomp.planning.setup import Setup
 from thetacomp.planning.timetable import Timetable
-from thetacomp.planning.uncertainty import TWO_SIDED_95, Reach
+from thetacomp.planning.uncertainty import TWO_SIDED_95, VisibleChange
 from thetacomp.report import style
 
 _LANES = (
@@ -55,23 +55,23 @@ def day_figure(timetable: Timetable) -> style.NamedFigure:
 
 
 @style.styled
-def reach_figure(reached: Sequence[Reach], must_see_um: float | None) -> style.NamedFigure:
+def visible_change_figure(visible_changes: Sequence[VisibleChange], must_see_um: float | None) -> style.NamedFigure:
     """The smallest visible change of every component, and what it is made of."""
-    figure = style.new_figure(0.9 + 0.24 * len(reached))
+    figure = style.new_figure(0.9 + 0.24 * len(visible_changes))
     axes = figure.subplots()
-    rows = np.arange(len(reached))
-    axes.barh(rows, [one.visible_um for one in reached], height=0.66, color=_REACH_COLOR, label="all together")
+    rows = np.arange(len(visible_changes))
+    axes.barh(rows, [one.visible_um for one in visible_changes], height=0.66, color=_REACH_COLOR, label="all together")
     for name, part, color, marker in (
         ("scatter of the points", "end_points_um", style.BLUE, "o"),
         ("angle of a sweep", "end_angle_um", style.AMBER, "^"),
         ("tie to the foundation", "end_tie_um", style.VERMILLION, "s"),
     ):
-        values = [TWO_SIDED_95 * getattr(one, part) for one in reached]
+        values = [TWO_SIDED_95 * getattr(one, part) for one in visible_changes]
         axes.plot(values, rows, marker, color=color, markersize=4.5, label=f"{name} alone")
     if must_see_um is not None:
         axes.axvline(must_see_um, color=style.WORSE, linewidth=1.2, label=f"must be seen: {must_see_um:g} µm")
-    axes.set_yticks(rows, [one.component for one in reached])
-    axes.set_ylim(len(reached) - 0.4, -0.6)
+    axes.set_yticks(rows, [one.component for one in visible_changes])
+    axes.set_ylim(len(visible_changes) - 0.4, -0.6)
     axes.set_xlim(left=0)
     axes.set_xlabel("smallest visible change at the end of the travel, one round, 95 % (µm)")
     axes.grid(False, axis="y")

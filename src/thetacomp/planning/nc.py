@@ -46,7 +46,7 @@ class NcFile:
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a control wants to be told: comments, messages, moves, waits, and the lines at begin and end."""
+    """The dialect of a control: comments, messages, moves, waits, and the lines at begin and end."""
 
     name: str
     folder: str

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from thetacomp.errors import InputError, Problem
-from thetacomp.names import name_fault
+from thetacomp.safe_names import name_fault
 
 LEAST_POINTS, MOST_POINTS = 5, 999
 COMMAND = "thetacomp plan"

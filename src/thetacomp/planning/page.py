@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from thetacomp.planning import tables
-from thetacomp.planning.figures import day_figure, floor_figure, reach_figure
+from thetacomp.planning.figures import day_figure, floor_figure, visible_change_figure
 from thetacomp.planning.foundation import FoundationTarget
 from thetacomp.planning.setup import Setup, undetermined_frame
 from thetacomp.planning.steps import FOUNDATION_S, TARGETS
@@ -19,15 +19,15 @@ from thetacomp.planning.timetable import (
     moved_mm,
     sweep_span_s,
 )
-from thetacomp.planning.uncertainty import STEEL_UM_PER_M_K, Reach
+from thetacomp.planning.uncertainty import STEEL_UM_PER_M_K, VisibleChange
 from thetacomp.report import style
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import draw
 from thetacomp.report.tables import counted
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PlanAssessment:
     """Whether the plan sees enough, in words; `good` is None where no size was asked for."""
 
     good: bool | None
@@ -35,10 +35,10 @@ class Verdict:
     text: str
 
 
-def verdict(setup: Setup, reached: Sequence[Reach]) -> Verdict:
+def assess_plan(setup: Setup, visible_changes: Sequence[VisibleChange]) -> PlanAssessment:
     """The plan against the size that must be seen."""
-    worst = max(reached, key=lambda one: one.visible_um)
-    best = min(reached, key=lambda one: one.visible_um)
+    worst = max(visible_changes, key=lambda one: one.visible_um)
+    best = min(visible_changes, key=lambda one: one.visible_um)
     wanted = setup.options.must_see_um
     seen = (
         f"At the end of its travel a thermal change of {worst.visible_um:.0f} µm differs from zero in every"
@@ -46,18 +46,18 @@ def verdict(setup: Setup, reached: Sequence[Reach]) -> Verdict:
         " with 95 % confidence."
     )
     if wanted is None:
-        return Verdict(
+        return PlanAssessment(
             None,
             f"One round can detect {worst.visible_um:.0f} µm at the end of the travel",
             f"{seen} Compare this with the thermal errors that matter on this machine: a model can hardly be better"
             " than its training data. --must-see-um turns the comparison into a check.",
         )
-    failing = [one.component for one in reached if one.visible_um > wanted]
+    failing = [one.component for one in visible_changes if one.visible_um > wanted]
     if not failing:
-        return Verdict(True, f"Good enough: {wanted:g} µm can be detected in every component", seen)
-    return Verdict(
+        return PlanAssessment(True, f"Good enough: {wanted:g} µm can be detected in every component", seen)
+    return PlanAssessment(
         False,
-        f"Not good enough: {wanted:g} µm cannot be detected in {len(failing)} of {len(reached)} components",
+        f"Not good enough: {wanted:g} µm cannot be detected in {len(failing)} of {len(visible_changes)} components",
         f"Too small for this plan in {', '.join(failing)}. {seen} Bring the tracker nearer, measure more points, or use"
         " an instrument of lower uncertainty.",
     )
@@ -92,14 +92,17 @@ def assumptions(setup: Setup) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def render_page(
-    timetable: Timetable, targets: Sequence[FoundationTarget], reached: Sequence[Reach], programs: Sequence[str]
+def render_plan_page(
+    timetable: Timetable,
+    targets: Sequence[FoundationTarget],
+    visible_changes: Sequence[VisibleChange],
+    programs: Sequence[str],
 ) -> str:
     """The whole page as HTML text. A note on stderr says where no installed font has the letters of a name."""
     setup = timetable.setup
     figures = [
         day_figure(timetable),
-        reach_figure(reached, setup.options.must_see_um),
+        visible_change_figure(visible_changes, setup.options.must_see_um),
         floor_figure(setup, targets),
     ]
     return page(
@@ -109,10 +112,10 @@ def render_page(
         options=setup.options,
         machine=setup.machine,
         targets=targets,
-        reached=reached,
+        visible_changes=visible_changes,
         programs=programs,
         figures=draw(figures).inline(),
-        verdict=verdict(setup, reached),
+        assessment=assess_plan(setup, visible_changes),
         notes=[*assumptions(setup), *timetable.notes],
         sweeps=[(axis, _span_min(timetable, axis.name)) for axis in setup.axes],
         feeds={axis.name: _mean_feed(timetable, axis.name) for axis in setup.axes},

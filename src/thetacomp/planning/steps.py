@@ -73,7 +73,7 @@ def round_name(number: int) -> str:
 
 
 def foundation_point(round_: str, target: str, end: bool) -> str:
-    """`R03_F1_B` at the begin of a round, `R03_F1_E` at its end."""
+    """`R03_F1_B` at the beginning of a round, `R03_F1_E` at its end."""
     return f"{round_}_{target}_{'E' if end else 'B'}"
 
 

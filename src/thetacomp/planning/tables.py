@@ -11,7 +11,7 @@ import numpy as np
 from thetacomp.planning.foundation import FoundationTarget, standard_um
 from thetacomp.planning.setup import Setup
 from thetacomp.planning.timetable import COLD_ROUNDS, Block, Timetable, moved_mm, sweep_span_s
-from thetacomp.planning.uncertainty import Reach
+from thetacomp.planning.uncertainty import VisibleChange
 from thetacomp.table_file import Cell, csv_text, fixed
 
 
@@ -78,7 +78,7 @@ def points_csv(timetable: Timetable, targets: Sequence[FoundationTarget]) -> str
 
 
 def tracker_points_csv(timetable: Timetable) -> str:
-    """The same readings as the table `tracker_points` of a campaign: it tells what the points of a tracker's file are.
+    """The same readings as the table `tracker_points` of a campaign: it says what the points of a tracker's file are.
 
     The name in the tracker's file is `point`. `target` is the place that is read: a nest of the foundation, or an axis
     with the number of its position. One station, so there is no column for it.
@@ -105,7 +105,7 @@ def _sign(direction: int) -> str:
     return {1: "+", -1: "-"}.get(direction, "")
 
 
-def uncertainty_csv(reached: Sequence[Reach]) -> str:
+def uncertainty_csv(visible_changes: Sequence[VisibleChange]) -> str:
     """What the plan can see, one row a component."""
     header = [
         "component",
@@ -121,7 +121,7 @@ def uncertainty_csv(reached: Sequence[Reach]) -> str:
         "end_se_um",
         "visible_um",
     ]
-    rows = [[row.component, *(round(getattr(row, name), 2) for name in header[1:])] for row in reached]
+    rows = [[row.component, *(round(getattr(row, name), 2) for name in header[1:])] for row in visible_changes]
     return csv_text(header, rows)
 
 

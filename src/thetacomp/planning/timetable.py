@@ -82,7 +82,7 @@ class Program:
 
 @dataclass(frozen=True)
 class Timetable:
-    """Everything in its order. Time counts from the begin of the temperature log."""
+    """Everything in its order. Time counts from the start of the temperature log."""
 
     setup: Setup
     blocks: tuple[Block, ...]

@@ -7,7 +7,7 @@ covariance of the fitted line (I, S) of a heated round is
 
 with the expanded uncertainty (k = 2) `a + b d` of a point at the distance d. The second term is an angle error of the
 instrument that is common to a sweep: `thetacomp analyze` takes it into its standard errors in the same way. What the
-foundation targets leave open about the station is added where the drift of the tool against the floor is asked for.
+foundation targets leave open about the station is added where the drift of the tool against the floor is evaluated.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ STEEL_UM_PER_M_K = 11.5
 
 
 @dataclass(frozen=True)
-class Reach:
-    """What one heated round tells about one component, as standard errors (k = 1) unless the name says otherwise.
+class VisibleChange:
+    """What one heated round shows of one component, as standard errors (k = 1) unless the name says otherwise.
 
     `end_*` belong to the end of the travel that is known worse; `points`, `angle` and `tie` are its three parts.
-    `visible_um` is the smallest change there that is told from nothing with 95 % confidence.
+    `visible_um` is the smallest change there that is significant at 95 % confidence.
     """
 
     component: str
@@ -53,11 +53,11 @@ class Reach:
 
     @property
     def visible_um(self) -> float:
-        """Smallest change at the end of the travel that one round tells from nothing (95 %)."""
+        """Smallest change at the end of the travel that is significant in one round (95 %)."""
         return TWO_SIDED_95 * self.end_se_um
 
 
-def reach(setup: Setup, targets: tuple[FoundationTarget, ...]) -> tuple[Reach, ...]:
+def visible_changes(setup: Setup, targets: tuple[FoundationTarget, ...]) -> tuple[VisibleChange, ...]:
     """Every axis and direction of a plan."""
     return tuple(_component(setup, targets, axis, index) for axis in setup.axes for index in range(3))
 
@@ -69,7 +69,7 @@ def line_covariance(position_mm: Floats, sd_um: Floats, p0_mm: float) -> Floats:
     return np.asarray(inverse @ (design.T * sd_um**2) @ design @ inverse)
 
 
-def _component(setup: Setup, targets: tuple[FoundationTarget, ...], axis: AxisPlan, index: int) -> Reach:
+def _component(setup: Setup, targets: tuple[FoundationTarget, ...], axis: AxisPlan, index: int) -> VisibleChange:
     places = np.array([_tool_mm(setup, axis, position) for position in axis.target_mm])
     distance = np.array([setup.distance_mm(place) for place in places])
     sd_um = np.array([standard_um(setup, one) for one in distance])
@@ -95,7 +95,7 @@ def _component(setup: Setup, targets: tuple[FoundationTarget, ...], axis: AxisPl
             )
         )
     end_mm, end_points, end_angle, end_tie = max(ends, key=lambda end: sum(part**2 for part in end[1:]))
-    return Reach(
+    return VisibleChange(
         component=f"E{CARTESIAN[index]}{axis.name}",
         axis=axis.name,
         direction=CARTESIAN[index],

@@ -14,9 +14,9 @@ from thetacomp.planning import tables
 from thetacomp.planning.foundation import FoundationTarget, propose_targets
 from thetacomp.planning.nc import nc_files
 from thetacomp.planning.options import PlanOptions, problem
-from thetacomp.planning.page import Verdict, assumptions, render_page, verdict
+from thetacomp.planning.page import PlanAssessment, assess_plan, assumptions, render_plan_page
 from thetacomp.planning.timetable import Timetable, make_timetable
-from thetacomp.planning.uncertainty import Reach, reach
+from thetacomp.planning.uncertainty import VisibleChange, visible_changes
 
 PAGE = "plan.html"
 MACHINE_FOLDER = "machine_folder"
@@ -28,8 +28,8 @@ class MeasuringPlan:
 
     timetable: Timetable
     targets: tuple[FoundationTarget, ...]
-    reached: tuple[Reach, ...]
-    verdict: Verdict
+    visible_changes: tuple[VisibleChange, ...]
+    assessment: PlanAssessment
     notes: tuple[str, ...]
 
 
@@ -37,9 +37,9 @@ def make_plan(machine: Machine, options: PlanOptions) -> MeasuringPlan:
     """Plan one campaign. Raises InputError with everything that keeps it from being measured."""
     timetable = make_timetable(machine, options)
     targets = propose_targets(timetable.setup)
-    reached = reach(timetable.setup, targets)
+    visible = visible_changes(timetable.setup, targets)
     notes = (*assumptions(timetable.setup), *timetable.notes)
-    return MeasuringPlan(timetable, targets, reached, verdict(timetable.setup, reached), notes)
+    return MeasuringPlan(timetable, targets, visible, assess_plan(timetable.setup, visible), notes)
 
 
 def refuse_filled(out: Path) -> None:
@@ -62,11 +62,11 @@ def plan_files(plan: MeasuringPlan, machine_toml: bytes) -> dict[str, str | byte
     programs = nc_files(plan.timetable)
     campaign = f"{MACHINE_FOLDER}/campaigns/{tables.campaign_name(plan.timetable)}"
     return {
-        PAGE: render_page(plan.timetable, plan.targets, plan.reached, [file.path for file in programs]),
+        PAGE: render_plan_page(plan.timetable, plan.targets, plan.visible_changes, [file.path for file in programs]),
         "timetable.csv": tables.timetable_csv(plan.timetable),
         "points.csv": tables.points_csv(plan.timetable, plan.targets),
         "tracker_points.csv": tables.tracker_points_csv(plan.timetable),
-        "uncertainty.csv": tables.uncertainty_csv(plan.reached),
+        "uncertainty.csv": tables.uncertainty_csv(plan.visible_changes),
         "foundation_targets.csv": tables.foundation_csv(plan.targets),
         "sensor_commissioning.csv": tables.sensors_csv(plan.timetable.setup),
         **{file.path: file.text for file in programs},

@@ -13,13 +13,13 @@ from thetacomp.arrays import CARTESIAN
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, Parameters
 from thetacomp.machine import Machine
 from thetacomp.model.temperatures import Duty, Temperatures
-from thetacomp.names import name_fault
 from thetacomp.reading import checks, tracker
 from thetacomp.reading.columns import ERRORS
 from thetacomp.reading.lead_in import with_lead_in
 from thetacomp.reading.problems import ProblemList, quoted
 from thetacomp.reading.sweep_table import at_mm, rotations, sweep_points
 from thetacomp.reading.tables import Table
+from thetacomp.safe_names import name_fault
 
 MEASURED = ("sweeps", "tracker", "drift", "parameters")
 

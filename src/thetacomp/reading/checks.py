@@ -1,4 +1,4 @@
-"""What no format can tell: numbers that are well written and yet cannot be meant."""
+"""What no format check can find: numbers that are well formed but implausible."""
 
 from __future__ import annotations
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.campaign import CorrelationTable
-from thetacomp.names import name_fault
 from thetacomp.reading.columns import Matched, Meaning, Schema
 from thetacomp.reading.problems import ProblemList, UnreadableError
 from thetacomp.reading.sources import read_source
 from thetacomp.reading.tables import Table, convert
+from thetacomp.safe_names import name_fault
 
 _ROW = "row"
 

@@ -1,4 +1,4 @@
-"""What the loggers recorded before a campaign began: the rows at negative times, apart from the campaign itself."""
+"""What the loggers recorded before a campaign began: the rows at negative times, separate from the campaign."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Collects everything wrong or doubtful in the user's files, so that all of it is told in one go."""
+"""Collects everything wrong or doubtful in the user's files, so that all of it is reported at once."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ProblemList:
         rows: Sequence[int] = (),
         column: str | None = None,
     ) -> None:
-        """Note one problem. Several rows with the same problem are told once, with their count."""
+        """Note one problem. Several rows with the same problem are reported once, with their count."""
         if len(rows) > 1:
             shown = ", ".join(str(int(row)) for row in rows[:SHOWN_ROWS])
             more = ", …" if len(rows) > SHOWN_ROWS else ""
@@ -71,7 +71,7 @@ class ProblemList:
         self._found.extend(other._found)
 
     def drop(self, code: str) -> None:
-        """Forget all problems of a kind: a better one tells the same."""
+        """Drop all problems of a kind: a better one says the same."""
         self._found = [problem for problem in self._found if problem.code != code]
 
     @property
@@ -115,7 +115,7 @@ _CLOCK_WORDS = ("datum", "date", "uhrzeit", "zeitstempel", "timestamp", "日期"
 def nearest(name: str, known: Iterable[str]) -> str:
     """`, did you mean 'x'?` for the nearest known name, or nothing where none is near.
 
-    A unit in brackets does not count (`T3 (°C)`), or tells which column is meant (`dX [µm]`, `Zeit [s]`).
+    A unit in brackets does not count (`T3 (°C)`), or says which column is meant (`dX [µm]`, `Zeit [s]`).
     """
     names = list(known)
     meant = _with_unit(name, names) or _time_column(name, names)

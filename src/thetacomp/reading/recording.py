@@ -41,7 +41,7 @@ class RecordedCampaign(Strict):
     last_row: int = Field(ge=0)
 
 
-class Recording(Strict):
+class RecordingDescription(Strict):
     """What the columns of a recording mean. The values of the mappings are column headers."""
 
     file: str = Field(min_length=1)
@@ -55,11 +55,11 @@ class Recording(Strict):
     campaigns: tuple[RecordedCampaign, ...]
 
 
-class RecordingFile(Strict):
+class RecordingToml(Strict):
     """The whole of `recording.toml`."""
 
     format: Literal[1]
-    recording: Recording
+    recording: RecordingDescription
 
 
 def read_recording(path: Path, machine: Machine, problems: ProblemList) -> tuple[Campaign, ...]:
@@ -85,7 +85,7 @@ def read_recording(path: Path, machine: Machine, problems: ProblemList) -> tuple
     return tuple(campaign for campaign in found if campaign is not None)
 
 
-def _description(path: Path, problems: ProblemList) -> Recording | None:
+def _description(path: Path, problems: ProblemList) -> RecordingDescription | None:
     try:
         raw = read_toml(path)
     except UnreadableError as refusal:
@@ -94,11 +94,11 @@ def _description(path: Path, problems: ProblemList) -> Recording | None:
     if not check_format(raw, FILE, problems):
         return None
     try:
-        recording = RecordingFile.model_validate(raw).recording
+        recording = RecordingToml.model_validate(raw).recording
     except ValidationError as exc:
         sections: Sections = {
-            "": RecordingFile,
-            "recording": Recording,
+            "": RecordingToml,
+            "recording": RecordingDescription,
             "recording.settings": CampaignSettings,
             "recording.campaigns": RecordedCampaign,
         }
@@ -107,7 +107,7 @@ def _description(path: Path, problems: ProblemList) -> Recording | None:
     return recording if settings_plausible(recording.settings, FILE, problems) else None
 
 
-def _names_known(recording: Recording, machine: Machine, problems: ProblemList) -> bool:
+def _names_known(recording: RecordingDescription, machine: Machine, problems: ProblemList) -> bool:
     drift = {name for name, meaning in schema("drift", machine).known.items() if meaning.name != "t_s"}
     good = True
     for section, names, known in (
@@ -127,7 +127,7 @@ def _names_known(recording: Recording, machine: Machine, problems: ProblemList) 
     return good
 
 
-def _campaigns_apart(recording: Recording, problems: ProblemList) -> bool:
+def _campaigns_apart(recording: RecordingDescription, problems: ProblemList) -> bool:
     """Campaigns have rows, names of their own, and share no row: a shared row would spoil every hold-out."""
     good = bool(recording.campaigns)
     if not good:
@@ -157,7 +157,7 @@ def _campaigns_apart(recording: Recording, problems: ProblemList) -> bool:
     return good
 
 
-def _match(source: Source, recording: Recording, machine: Machine, problems: ProblemList) -> Matched | None:
+def _match(source: Source, recording: RecordingDescription, machine: Machine, problems: ProblemList) -> Matched | None:
     """The columns that the recording names, each under `section/name`."""
     by_header = {column.header: column for column in source.columns}
     wanted: list[tuple[str, str, Meaning]] = [("t_s", recording.time, TIME_MEANINGS[recording.time_unit])]
@@ -197,7 +197,7 @@ def _match(source: Source, recording: Recording, machine: Machine, problems: Pro
 
 
 def _campaign(
-    whole: Table, entry: RecordedCampaign, recording: Recording, machine: Machine, problems: ProblemList
+    whole: Table, entry: RecordedCampaign, recording: RecordingDescription, machine: Machine, problems: ProblemList
 ) -> Campaign | None:
     mine = np.flatnonzero((whole.rows >= entry.first_row + HEADER_ROWS) & (whole.rows <= entry.last_row + HEADER_ROWS))
     if entry.last_row + HEADER_ROWS > whole.rows[-1] or not len(mine):
@@ -232,7 +232,7 @@ def _lead_in(whole: Table, campaign: Campaign, first: int) -> LeadIn | None:
     return LeadIn(Temperatures(earlier_s, sensors, value_degC), duty)
 
 
-def _sections(recording: Recording) -> dict[str, dict[str, str]]:
+def _sections(recording: RecordingDescription) -> dict[str, dict[str, str]]:
     return {"temperatures": recording.temperatures, "drift": recording.drift, "duty": recording.duty}
 
 

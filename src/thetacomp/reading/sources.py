@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -111,7 +112,8 @@ def _series_cells(series: pd.Series[Any]) -> Floats | list[Any]:
     objects = zip(series.astype(object).tolist(), series.isna().tolist(), strict=True)
     cells: list[Any] = [None if missing else cell for cell, missing in objects]
     if all(cell is None or (isinstance(cell, int | float | Decimal) and not isinstance(cell, bool)) for cell in cells):
-        return np.array([np.nan if cell is None else float(cell) for cell in cells])
+        with suppress(OverflowError):  # an integer beyond a float stays what it is, and is told with its row
+            return np.array([np.nan if cell is None else float(cell) for cell in cells])
     # A pandas Timestamp counts nanoseconds, a datetime microseconds.
     cells = [cell.to_pydatetime(warn=False) if isinstance(cell, pd.Timestamp) else cell for cell in cells]
     return [cell.strip() if isinstance(cell, str) else cell for cell in cells]

@@ -1,4 +1,4 @@
-"""A table of points on moving axes becomes SweepPoints: known axes, plausible positions, sweeps parted."""
+"""A table of points on moving axes becomes SweepPoints: known axes, plausible positions, separate sweeps."""
 
 from __future__ import annotations
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
-from thetacomp.names import name_fault
 from thetacomp.reading import text
 from thetacomp.reading.columns import Matched, Schema, match
 from thetacomp.reading.problems import ProblemList, UnreadableError, shortened
 from thetacomp.reading.sources import EXCEL_ERROR, Column, Source
+from thetacomp.safe_names import name_fault
 
 _ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?)?", re.ASCII)
 _DAY_MONTH = re.compile(r"(\d{1,2})([./-])(\d{1,2})\2(\d{4}|\d\d)\b.*", re.ASCII)

@@ -108,7 +108,7 @@ def _strictly(data: bytes, encoding: str) -> str:
 
 
 def _legacy(data: bytes, row: int) -> str:
-    """Chinese (GB18030) or Western text, told apart by what the bytes would mean in each; both or neither: ask."""
+    """Chinese (GB18030) or Western text, distinguished by what the bytes would mean in each; both or neither: ask."""
     _refuse_control(data.decode("latin-1").rstrip("\x1a"))
     chinese, rare_pairs = _as_chinese(data)
     western = _as_western(data)
@@ -207,8 +207,8 @@ def _rows(text: str, delimiter: str) -> list[list[str]]:
 def decimal_sign(columns: Mapping[str, Sequence[str]], rows: Ints, delimiter: str) -> str:
     """`.` or `,` for all number columns of a file (by header). Raises UnreadableError where the file leaves a doubt.
 
-    The comma counts as decimal sign only in a file parted by semicolons or tabs, without any decimal point, and where
-    at least one cell cannot be meant as thousands (`21,5` can not, `1,234` can).
+    The comma counts as decimal sign only in a file separated by semicolons or tabs, without any decimal point, and
+    where at least one cell cannot be meant as thousands (`21,5` can not, `1,234` can).
     """
     if delimiter == "," and not any("," in "".join(cells) for cells in columns.values()):
         return "."
@@ -274,7 +274,7 @@ class _Found:
         if any(number.fullmatch(place.cell) and not grouped.fullmatch(place.cell) for place in self._places()):
             return
         if any(_BIG_INTEGER.fullmatch(cell) for cells in self._columns.values() for cell in cells):
-            return  # who parts thousands would have parted this one too
+            return  # thousands separators, if used, would have been used here too
         cell = shortened(self.first.cell)
         raise UnreadableError(
             "thousands",

@@ -72,7 +72,7 @@ def _tied(
             machine, points, xyz_mm[moving], foundation, settings.tracker, settings.reference_s
         )
     except FrameError as exc:
-        problems.error(exc.finding.code, table.file, exc.finding.message, exc.finding.fix)
+        problems.error(exc.doubt.code, table.file, exc.doubt.message, exc.doubt.fix)
         return None, None
     for doubt in doubts:
         problems.warning(doubt.code, table.file, doubt.message, doubt.fix)

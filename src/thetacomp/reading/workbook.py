@@ -1,4 +1,4 @@
-"""Excel workbooks: sheets as rows of cells, and what a spreadsheet shows but the values do not tell."""
+"""Excel workbooks: sheets as rows of cells, and what a spreadsheet shows but its values do not hold."""
 
 from __future__ import annotations
 

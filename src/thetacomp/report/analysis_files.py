@@ -8,12 +8,12 @@ from dataclasses import astuple, fields
 
 import numpy as np
 
-from thetacomp.analysis_result import Analysis
-from thetacomp.report.page import report_files
+from thetacomp.analysis_result import AnalysisResult
+from thetacomp.report.analysis_page import report_files
 from thetacomp.separation import ComponentSeparation
 from thetacomp.table_file import csv_text, plain
-from thetacomp.validation.families.rows import ComparisonRow
-from thetacomp.validation.rows import ValidationRow
+from thetacomp.validation.families.comparison_row import ComparisonRow
+from thetacomp.validation.outcome import ValidationRow
 
 OWN = (
     "model.json",
@@ -30,12 +30,12 @@ OWN = (
 """What an analysis writes: older files of these names do not survive a new one in the same folder."""
 
 
-def analysis_files(analysis: Analysis) -> dict[str, str | bytes]:
+def analysis_files(analysis: AnalysisResult) -> dict[str, str | bytes]:
     """Everything that an analysis leaves behind, by file name: model, tables, report and figures."""
     return {**table_files(analysis), **report_files(analysis)}
 
 
-def table_files(analysis: Analysis) -> dict[str, str | bytes]:
+def table_files(analysis: AnalysisResult) -> dict[str, str | bytes]:
     """model.json and the tables of separation, key points, validation, acceptance, screening, by file name.
 
     `angles.csv` is there where angles were measured, `sensor_curve.csv` where campaigns suffice to search the best
@@ -103,7 +103,7 @@ SCREENING_COLUMNS = (
 )
 
 
-def _screening_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+def _screening_rows(analysis: AnalysisResult) -> Iterable[Sequence[object]]:
     """One row a fault; `done` is `none` where repair is switched off."""
     found = analysis.screening
     for campaign, f in found.findings if found is not None else ():
@@ -136,7 +136,7 @@ def _separation_rows(separations: Iterable[ComponentSeparation]) -> Iterable[Seq
             )
 
 
-def _geometry_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+def _geometry_rows(analysis: AnalysisResult) -> Iterable[Sequence[object]]:
     sign = {1: "+", -1: "-", 0: ""}
     for s in analysis.separations:
         for curve in s.geometry:
@@ -144,10 +144,10 @@ def _geometry_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
                 yield s.campaign, s.component, sign[curve.direction], p, value, se, s.geometry_model
 
 
-def _keypoint_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+def _keypoint_rows(analysis: AnalysisResult) -> Iterable[Sequence[object]]:
     for chosen in analysis.key_points:
         for table in chosen.tables:
-            for v in table.verdicts:
+            for v in table.decisions:
                 yield (
                     chosen.axis,
                     chosen.method,
@@ -179,7 +179,7 @@ CURVE_COLUMNS = (
 )
 
 
-def _curve_rows(analysis: Analysis) -> Iterable[Sequence[object]]:
+def _curve_rows(analysis: AnalysisResult) -> Iterable[Sequence[object]]:
     """A row for each number of sensors, then a row for each sensor with its share among the resampled choices."""
     for curve in analysis.sensor_curves:
         for point in curve.points:

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from math import isfinite
 
 from thetacomp.controllers.base import RegisterLaw
-from thetacomp.controllers.sinumerik import TABLE_POINTS, Plan
+from thetacomp.controllers.sinumerik import TABLE_POINTS, RegisterPlan
 from thetacomp.controllers.sinumerik_files import law_in_digits, number, reference_lines, sensor_names
 from thetacomp.controllers.sinumerik_remarks import differing, failed_checks, not_compensated, worst_drift
 from thetacomp.controllers.sinumerik_signtest import sign_tests
 from thetacomp.model.wanted_length import follows_workpiece
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 
 SHEET_FILE = "commissioning_sheet.html"
 Rows = list[list[str]]
@@ -54,7 +54,7 @@ _KNOWN = (
 _OF_TABLES = ("CEC", "SD41310", "MD32720")
 
 
-def commissioning_sheet(plan: Plan) -> str:
+def commissioning_sheet(plan: RegisterPlan) -> str:
     """The sheet as HTML text: what to enter where, in steps, the sign test, what is proven, and where it is valid."""
     channel = {table.output.axis.name: table.output.channel_axis for table in plan.tables}
     moments = [line.partition(";")[0] for line in reference_lines(plan) if "campaign" in line]
@@ -88,7 +88,7 @@ def commissioning_sheet(plan: Plan) -> str:
     )
 
 
-def _carried(what: str, source: str | None, law: RegisterLaw, nothing: str, plan: Plan) -> str:
+def _carried(what: str, source: str | None, law: RegisterLaw, nothing: str, plan: RegisterPlan) -> str:
     """What a register carries, the workpiece's expansion with it."""
     parts = [f"{what} {source}"] if source else []
     sensor = plan.model.length.workpiece_sensor
@@ -97,7 +97,7 @@ def _carried(what: str, source: str | None, law: RegisterLaw, nothing: str, plan
     return ", ".join(parts) or nothing
 
 
-def _axis_rows(plan: Plan) -> Rows:
+def _axis_rows(plan: RegisterPlan) -> Rows:
     return [
         [
             f"{axis.channel_axis} (axis {axis.axis.name}, {axis.axis.direction})",
@@ -110,7 +110,7 @@ def _axis_rows(plan: Plan) -> Rows:
     ]
 
 
-def _table_rows(plan: Plan) -> Rows:
+def _table_rows(plan: RegisterPlan) -> Rows:
     return [
         [
             str(table.index),
@@ -125,7 +125,7 @@ def _table_rows(plan: Plan) -> Rows:
     ]
 
 
-def _laws(plan: Plan) -> list[tuple[str, str]]:
+def _laws(plan: RegisterPlan) -> list[tuple[str, str]]:
     rows = []
     for axis in plan.axes:
         for label, wanted, law, um_per_unit in (
@@ -148,7 +148,7 @@ def _formula(law: RegisterLaw, um_per_unit: float) -> str:
     return text
 
 
-def _clamps(plan: Plan) -> Rows:
+def _clamps(plan: RegisterPlan) -> Rows:
     rate_mm_per_s = plan.settings.rate_limit_um_per_s * 1e-3
     rows = []
     for axis in plan.axes:
@@ -162,7 +162,7 @@ def _clamps(plan: Plan) -> Rows:
     return rows
 
 
-def _drift_rows(plan: Plan) -> Rows:
+def _drift_rows(plan: RegisterPlan) -> Rows:
     apart = differing(plan)
     return [
         [
@@ -177,7 +177,7 @@ def _drift_rows(plan: Plan) -> Rows:
     ]
 
 
-def _errors(plan: Plan) -> Rows:
+def _errors(plan: RegisterPlan) -> Rows:
     return [
         [
             name,
@@ -192,7 +192,7 @@ def _errors(plan: Plan) -> Rows:
     ]
 
 
-def _sensors(plan: Plan) -> Rows:
+def _sensors(plan: RegisterPlan) -> Rows:
     model, trained = plan.model, plan.model.trained
     return [
         [

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report import style
 from thetacomp.report.tables import component_name
-from thetacomp.validation.families.rows import ComparisonRow
+from thetacomp.validation.families.comparison_row import ComparisonRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS
 
 
@@ -21,7 +21,7 @@ class ComparisonGroup:
     least_rms_um: float
 
 
-def comparison_groups(analysis: Analysis) -> list[ComparisonGroup]:
+def comparison_groups(analysis: AnalysisResult) -> list[ComparisonGroup]:
     """Column deviations first, then the components in the order of the axes; nothing where none were compared."""
     keys = list(dict.fromkeys((row.component, row.campaign) for row in analysis.comparison))
     keys.sort(key=lambda key: not key[0].startswith("column_"))
@@ -39,7 +39,7 @@ def family_name(row: ComparisonRow) -> str:
     return style.MODEL_NAMES.get(row.family, row.family)
 
 
-def thinning(analysis: Analysis) -> list[tuple[int, list[str]]]:
+def thinning(analysis: AnalysisResult) -> list[tuple[int, list[str]]]:
     """The most training rows of a campaign, and the families that it holds for."""
     most: dict[int, list[str]] = {}
     for row in analysis.comparison:

@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from thetacomp.controllers.base import Export, ExportFile
-from thetacomp.controllers.sinumerik import Plan
+from thetacomp.controllers.sinumerik import RegisterPlan
 from thetacomp.controllers.targets import TARGETS
 from thetacomp.model.document import ModelDocument
 from thetacomp.report.commissioning import SHEET_FILE, commissioning_sheet
 
 OWN = (SHEET_FILE, "sinumerik_temperature_compensation.spf", "sinumerik_values.csv", "replay.*")
-SHEETS: Mapping[str, Callable[[Plan], str]] = {"sinumerik": commissioning_sheet}
+SHEETS: Mapping[str, Callable[[RegisterPlan], str]] = {"sinumerik": commissioning_sheet}
 
 
 def export_files(model: ModelDocument, target: str, settings: Path | None) -> Export:

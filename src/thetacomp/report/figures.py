@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report.figures_error import drift_over_time, error_over_position, geometry_curves
 from thetacomp.report.figures_fit import fit_over_temperature
 from thetacomp.report.figures_screening import screened_channels
@@ -14,7 +14,7 @@ from thetacomp.report.figures_validation import before_and_after, error_over_tim
 from thetacomp.report.sketch import machine_sketch
 from thetacomp.report.style import NamedFigure
 
-FIGURES: tuple[Callable[[Analysis], list[NamedFigure]], ...] = (
+FIGURES: tuple[Callable[[AnalysisResult], list[NamedFigure]], ...] = (
     machine_sketch,
     temperatures_over_time,
     screened_channels,
@@ -29,7 +29,7 @@ FIGURES: tuple[Callable[[Analysis], list[NamedFigure]], ...] = (
 )
 
 
-def all_figures(analysis: Analysis) -> list[NamedFigure]:
+def all_figures(analysis: AnalysisResult) -> list[NamedFigure]:
     """All pictures that the data allow, in the order of the report. File names are unique."""
     figures = [figure for draw in FIGURES for figure in draw(analysis)]
     seen: dict[str, int] = {}

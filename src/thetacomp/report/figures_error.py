@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report import style
-from thetacomp.report.prediction import drawn_law, predict_states
+from thetacomp.report.predicted_states import drawn_law, predict_states
 from thetacomp.report.style import HOUR_S, TIME_COLORS
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve
 
@@ -19,7 +19,7 @@ _MOST_POINTS = 800
 _MOST_LINES = 40
 
 
-def groups_of_campaigns(analysis: Analysis) -> list[tuple[str, int, list[ComponentSeparation]]]:
+def groups_of_campaigns(analysis: AnalysisResult) -> list[tuple[str, int, list[ComponentSeparation]]]:
     """Separations of moving axes to be drawn together: label, number, parts.
 
     Campaigns that measured one axis each belong in one picture; campaigns that repeat an axis get one each.
@@ -32,7 +32,7 @@ def groups_of_campaigns(analysis: Analysis) -> list[tuple[str, int, list[Compone
     return [group for group in groups if group[2]]
 
 
-def in_order_of_axes(analysis: Analysis) -> list[ComponentSeparation]:
+def in_order_of_axes(analysis: AnalysisResult) -> list[ComponentSeparation]:
     """All separations, sorted as the machine file lists the axes; drift comes last."""
     order: list[str | None] = [axis.name for axis in analysis.folder.machine.axes]
     return sorted(analysis.separations, key=lambda s: order.index(s.axis) if s.axis in order else len(order))
@@ -60,7 +60,7 @@ def _heading(part: ComponentSeparation, with_campaign: bool) -> str:
 
 
 @style.styled
-def error_over_position(analysis: Analysis) -> list[style.NamedFigure]:
+def error_over_position(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """Error against position at each state, coloured by time: measured points and lines, or the lines alone."""
     figures = []
     for label, number, parts in groups_of_campaigns(analysis):
@@ -118,7 +118,7 @@ def _draw_states(axes: Axes, part: ComponentSeparation, norm: Normalize) -> None
 
 
 @style.styled
-def geometry_curves(analysis: Analysis) -> list[style.NamedFigure]:
+def geometry_curves(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """Geometry G(p) in both approach directions with its 95 % band, where it was separated from sweeps."""
     figures = []
     for label, number, parts in groups_of_campaigns(analysis):
@@ -164,8 +164,8 @@ def _draw_geometry(axes: Axes, part: ComponentSeparation) -> None:
 
 
 @style.styled
-def drift_over_time(analysis: Analysis) -> list[style.NamedFigure]:
-    """Drift at a fixed position over time with the stored model beside it, one picture for each campaign."""
+def drift_over_time(analysis: AnalysisResult) -> list[style.NamedFigure]:
+    """Drift at a fixed position over time with the stored model, one picture for each campaign."""
     figures = []
     for number, campaign in enumerate(analysis.folder.campaigns, start=1):
         parts = [s for s in analysis.separations if s.campaign == campaign.name and s.axis is None]
@@ -187,7 +187,7 @@ def drift_over_time(analysis: Analysis) -> list[style.NamedFigure]:
     return figures
 
 
-def _draw_drift(axes: Axes, analysis: Analysis, part: ComponentSeparation) -> None:
+def _draw_drift(axes: Axes, analysis: AnalysisResult, part: ComponentSeparation) -> None:
     hours = part.t_s / HOUR_S
     axes.axhline(0.0, color=style.FAINT, lw=0.8)
     axes.plot(*style.thin(hours, part.intercept_um), color=style.BEFORE, lw=1.0, label="measured")

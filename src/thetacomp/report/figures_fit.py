@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.arrays import Floats
 from thetacomp.model.check import TERMS
 from thetacomp.model.law import ComponentLaw, component_laws
 from thetacomp.report import style
-from thetacomp.report.prediction import drawn_law, explains, half_band, predict_states, reference_degC
+from thetacomp.report.predicted_states import drawn_law, explains, half_band, predict_states, reference_degC
 from thetacomp.report.style import CAMPAIGN_MARKS, HOUR_S, TIME_COLORS
 from thetacomp.separation.component import ComponentSeparation
 
@@ -45,7 +45,7 @@ class _States:
 
 
 @style.styled
-def fit_over_temperature(analysis: Analysis) -> list[style.NamedFigure]:
+def fit_over_temperature(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """Measured states and the stored model, one picture an axis.
 
     Over the key temperature where the model has one input, against the prediction where it has more, over time where
@@ -59,7 +59,7 @@ def fit_over_temperature(analysis: Analysis) -> list[style.NamedFigure]:
     return figures
 
 
-def _figure(analysis: Analysis, axis: str, names: Sequence[str]) -> style.NamedFigure:
+def _figure(analysis: AnalysisResult, axis: str, names: Sequence[str]) -> style.NamedFigure:
     laws = component_laws(analysis.model.control)
     components = [laws[name] for name in names]
     # In the joint form the intercept of an axis is zero: the drift has a figure of its own.
@@ -91,7 +91,7 @@ def _figure(analysis: Analysis, axis: str, names: Sequence[str]) -> style.NamedF
     return style.NamedFigure(f"fit_{style.file_label(axis, 0) if axis else 'drift'}", "fit", title, caption, figure)
 
 
-def _parts(analysis: Analysis, component: str) -> list[ComponentSeparation]:
+def _parts(analysis: AnalysisResult, component: str) -> list[ComponentSeparation]:
     """Separations of a component whose campaign has the model's inputs."""
     mine = [s for s in analysis.separations if s.component == component]
     return [s for s in mine if predict_states(analysis, s) is not None]
@@ -112,7 +112,7 @@ def _legend(parts: Sequence[ComponentSeparation], counts: set[int]) -> list[Line
     return handles
 
 
-def _draw_fit(axes: Axes, analysis: Analysis, component: ComponentLaw, what: str, norm: Normalize) -> None:
+def _draw_fit(axes: Axes, analysis: AnalysisResult, component: ComponentLaw, what: str, norm: Normalize) -> None:
     parts = _parts(analysis, component.name)
     shift_degC = _shift_degC(analysis, parts, component) if len(component.inputs) == 1 else 0.0
     drawn = [_states(analysis, part, component, what, shift_degC) for part in parts]
@@ -132,7 +132,7 @@ def _draw_fit(axes: Axes, analysis: Analysis, component: ComponentLaw, what: str
 
 
 def _states(
-    analysis: Analysis,
+    analysis: AnalysisResult,
     part: ComponentSeparation,
     component: ComponentLaw,
     what: str,
@@ -171,7 +171,7 @@ def _draw_states(axes: Axes, drawn: Sequence[_States], modelled: bool, norm: Nor
             axes.scatter(states.x[out], states.value[out], s=75, fc="none", ec=style.OUTLYING, lw=1.2, zorder=4)
 
 
-def _shift_degC(analysis: Analysis, parts: Sequence[ComponentSeparation], component: ComponentLaw) -> float:
+def _shift_degC(analysis: AnalysisResult, parts: Sequence[ComponentSeparation], component: ComponentLaw) -> float:
     """Reference temperature to add where all parts share one, so that the axis shows °C; else 0: the axis shows K."""
     starts = [reference_degC(analysis, part, component) for part in parts]
     values = [float(np.ravel(start)[0]) for start in starts if start is not None and start.size]
@@ -229,7 +229,7 @@ def _draw_diagonal(axes: Axes, drawn: Sequence[_States]) -> None:
 
 
 def _label_states(axes: Axes, drawn: Sequence[_States], modelled: bool, rising: bool) -> None:
-    """Hours at the states: all where there are few and they stand apart, outlying ones always."""
+    """Hours at the states: all where there are few and they do not overlap, outlying ones always."""
     labels = [
         (float(states.x[k]), float(states.value[k]), f"{states.part.t_s[k] / HOUR_S:.1f} h", bool(out[k]))
         for states in drawn

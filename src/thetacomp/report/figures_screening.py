@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report import style
 from thetacomp.screening.campaigns import ScreenedChannel
 from thetacomp.screening.faults import Finding
@@ -26,7 +26,7 @@ _WORDS = {
 
 
 @style.styled
-def screened_channels(analysis: Analysis) -> list[style.NamedFigure]:
+def screened_channels(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """One picture for each faulty channel of a campaign, the largest repairs first where there are very many."""
     if analysis.screening is None:
         return []
@@ -36,7 +36,7 @@ def screened_channels(analysis: Analysis) -> list[style.NamedFigure]:
     return [_figure(analysis, channel) for channel in channels]
 
 
-def _figure(analysis: Analysis, channel: ScreenedChannel) -> style.NamedFigure:
+def _figure(analysis: AnalysisResult, channel: ScreenedChannel) -> style.NamedFigure:
     figure = style.new_figure(_HEIGHT_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(5, 3))
     hours = channel.t_s / style.HOUR_S
@@ -55,7 +55,7 @@ def _figure(analysis: Analysis, channel: ScreenedChannel) -> style.NamedFigure:
     return style.NamedFigure(name, "screening", title, _caption(analysis, channel), figure)
 
 
-def _caption(analysis: Analysis, channel: ScreenedChannel) -> str:
+def _caption(analysis: AnalysisResult, channel: ScreenedChannel) -> str:
     shaded = "Shaded: the fault; dotted: the moment at which it was seen."
     if analysis.screening is not None and not analysis.screening.repair:
         return f"{shaded} Repair was switched off: the analysis used the readings as they are."

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report import style
 from thetacomp.sensors.sensor_curve import SelectionShares, SensorCurve
 
@@ -19,12 +19,12 @@ _SCORES = {
 
 
 @style.styled
-def accuracy_over_sensors(analysis: Analysis) -> list[style.NamedFigure]:
+def accuracy_over_sensors(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """One picture for each axis whose sensors were searched."""
     return [_curve_figure(analysis, curve) for curve in analysis.sensor_curves]
 
 
-def _curve_figure(analysis: Analysis, curve: SensorCurve) -> style.NamedFigure:
+def _curve_figure(analysis: AnalysisResult, curve: SensorCurve) -> style.NamedFigure:
     figure = style.new_figure(3.9)
     if curve.shares is None:
         _draw_curve(figure.subplots(), curve)
@@ -39,7 +39,7 @@ def _curve_figure(analysis: Analysis, curve: SensorCurve) -> style.NamedFigure:
     )
 
 
-def _caption(analysis: Analysis, curve: SensorCurve) -> str:
+def _caption(analysis: AnalysisResult, curve: SensorCurve) -> str:
     unproven = [str(point.count) for point in curve.points if not point.proven]
     proof = (
         f"The search for {', '.join(unproven)} sensors was stopped early (open mark): a better set may exist there."

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, CorrelationTable
 from thetacomp.report import style
@@ -29,7 +29,7 @@ _CORRELATION_COLORS = LinearSegmentedColormap.from_list(
 
 
 @style.styled
-def temperatures_over_time(analysis: Analysis) -> list[style.NamedFigure]:
+def temperatures_over_time(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """All sensors over time, key points in colour, heat and reference marked.
 
     One picture for each campaign; campaigns with a few sensors each share one.
@@ -68,7 +68,7 @@ def _caption(heated: bool, reference: bool) -> str:
     return caption
 
 
-def _repaired_words(analysis: Analysis, campaigns: Sequence[Campaign]) -> str:
+def _repaired_words(analysis: AnalysisResult, campaigns: Sequence[Campaign]) -> str:
     """Which sensors are not drawn as they were read."""
     found = analysis.screening
     if found is None or not found.repair:
@@ -78,8 +78,8 @@ def _repaired_words(analysis: Analysis, campaigns: Sequence[Campaign]) -> str:
     return f" As the analysis uses them, repaired or left out: {', '.join(sensors)}." if sensors else ""
 
 
-def _draw_campaign(axes: Axes, analysis: Analysis, campaign: Campaign, height_in: float) -> tuple[bool, bool]:
-    """Temperatures of one campaign; tells whether heat and reference could be marked."""
+def _draw_campaign(axes: Axes, analysis: AnalysisResult, campaign: Campaign, height_in: float) -> tuple[bool, bool]:
+    """Temperatures of one campaign; returns whether heat and reference could be marked."""
     draw_temperatures(axes, campaign, key_colors(analysis), height_in)
     heated = mark_heat(axes, campaign)
     reference_s = _reference_s(analysis, campaign)
@@ -133,7 +133,7 @@ def _end_labels(axes: Axes, names: list[str], ends: Floats, colors: dict[str, st
 
 
 def mark_heat(axes: Axes, campaign: Campaign) -> bool:
-    """Shade the time in which the spindle or a feed ran; False where duty.csv does not tell."""
+    """Shade the time in which the spindle or a feed ran; False where duty.csv does not say."""
     if campaign.duty is None or not campaign.duty.columns:
         return False
     running = np.any([np.nan_to_num(column) > 0.0 for column in campaign.duty.columns.values()], axis=0)
@@ -161,7 +161,7 @@ def _mark_reference(axes: Axes, hour: float) -> None:
     )  # fmt: skip
 
 
-def _reference_s(analysis: Analysis, campaign: Campaign) -> float | None:
+def _reference_s(analysis: AnalysisResult, campaign: Campaign) -> float | None:
     """The campaign's moment of zero; None where its components do not share one."""
     if campaign.settings.reference_s is not None:
         return campaign.settings.reference_s
@@ -170,7 +170,7 @@ def _reference_s(analysis: Analysis, campaign: Campaign) -> float | None:
 
 
 @style.styled
-def correlation_maps(analysis: Analysis) -> list[style.NamedFigure]:
+def correlation_maps(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """Correlation tables as heat maps with numbers; what is missing is hatched. Published tables come first."""
     folder = analysis.folder
     parameters, sensors = analysis.parameter_correlations, analysis.sensor_correlations
@@ -202,7 +202,7 @@ def _tells_something(table: CorrelationTable) -> bool:
     )
 
 
-def _heat_map(analysis: Analysis, table: CorrelationTable) -> Figure:
+def _heat_map(analysis: AnalysisResult, table: CorrelationTable) -> Figure:
     rows, columns = table.value.shape
     numbered = columns <= _MOST_NUMBERED and rows <= 2 * _MOST_NUMBERED
     width = max(3.6, 2.7 + 0.42 * columns) if numbered else style.WIDTH_IN

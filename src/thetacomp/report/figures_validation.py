@@ -1,4 +1,4 @@
-"""Pictures of the validation: before and after beside the baselines, and the error over time."""
+"""Pictures of the validation: before and after with the baselines, and the error over time."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report import style
 from thetacomp.report.figures_error import in_order_of_axes
 from thetacomp.report.style import CAMPAIGN_LINES, CAMPAIGN_MARKS, HOUR_S
 from thetacomp.report.tables import component_name, split_words
-from thetacomp.validation.rows import HeldOutStates, ValidationRow
+from thetacomp.validation.outcome import HeldOutStates, ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS, pooled
 
 _MOST_TIME_PANELS = 24
@@ -28,7 +28,7 @@ _LEAST_UM = 0.05
 
 
 @style.styled
-def before_and_after(analysis: Analysis) -> list[style.NamedFigure]:
+def before_and_after(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """Held-out maximum, p95 and RMS before and after, with the baselines, one picture for each kind of hold-out."""
     figures = []
     for split in dict.fromkeys(row.split for row in analysis.validation):
@@ -64,7 +64,7 @@ def before_and_after(analysis: Analysis) -> list[style.NamedFigure]:
 
 
 def _largest(rows: Sequence[ValidationRow], component: str, model: str, field: str) -> float:
-    """A figure of one component and model; the largest where rows of several campaigns stand beside each other."""
+    """A figure of one component and model; the largest where there are rows of several campaigns."""
     values = [float(getattr(r, field)) for r in rows if r.component == component and r.model == model]
     good = [v for v in values if np.isfinite(v)]
     return max(*good, _LEAST_UM) if good else float("nan")
@@ -91,7 +91,7 @@ def _draw_statistic(
         axes.plot([after, before], [k, k], color=color, lw=5, alpha=0.75, solid_capstyle="butt", zorder=1)
         shown += [before, after]
         axes.plot(before, k, "|", color=style.BEFORE, ms=13, mew=2.2, zorder=2)
-        # A little apart, so that models that are equally good do not hide each other.
+        # Slightly offset, so that models that are equally good do not hide each other.
         offsets = np.linspace(-0.24, 0.24, len(models)) if len(models) > 1 else np.zeros(1)
         for model, offset in zip(models, offsets, strict=True):
             value = _largest(rows, component, model, f"{statistic}_after_um")
@@ -152,7 +152,7 @@ def _before_after_legend(models: Sequence[str], worse: bool) -> list[Line2D]:
 
 
 @style.styled
-def error_over_time(analysis: Analysis) -> list[style.NamedFigure]:
+def error_over_time(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """Largest error over the travel at each held-out state, before and after the default model."""
     known = {item.component for item in analysis.held_out}
     ordered = dict.fromkeys(s.component for s in in_order_of_axes(analysis))

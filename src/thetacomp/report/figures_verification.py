@@ -15,7 +15,7 @@ from thetacomp.arrays import Floats
 from thetacomp.report import style
 from thetacomp.report.style import HOUR_S
 from thetacomp.report.tables import component_name
-from thetacomp.verification.findings import HarmMap, Share, StateLine, Verification
+from thetacomp.verification.outcome import HarmMap, Share, StateLine, VerificationResult
 
 HALF_IN = style.WIDTH_IN / 2
 _WORST_MAPS = 3
@@ -23,13 +23,13 @@ _SHARE_LINES = ((-1.0, "reversed"), (0.0, "not active"), (1.0, "right"), (2.0, "
 _SHARE_RANGE = (-2.2, 3.2)
 
 
-def verification_figures(result: Verification) -> list[style.NamedFigure]:
+def verification_figures(result: VerificationResult) -> list[style.NamedFigure]:
     """All figures; those with section "page" stand on the page itself, the others are files only."""
     return [over_time(result), *applied_share(result), *harm_maps(result)]
 
 
 @style.styled
-def over_time(result: Verification) -> style.NamedFigure:
+def over_time(result: VerificationResult) -> style.NamedFigure:
     """Largest error over the travel of each sweep: off, on, and what the run with compensation on would have shown."""
     names = _two_to_show(result)
     figure = style.new_figure(2.0, HALF_IN)
@@ -55,7 +55,7 @@ def over_time(result: Verification) -> style.NamedFigure:
     return style.NamedFigure("verification_over_time", "page", "Before and after over time", caption, figure)
 
 
-def _two_to_show(result: Verification) -> list[str]:
+def _two_to_show(result: VerificationResult) -> list[str]:
     """The column deviations; without them the two components with the largest uncompensated error."""
     columns = [line.component for line in result.states_off if line.component.startswith("column")]
     largest = sorted(result.states_off, key=lambda line: -float(line.largest_um.max()))
@@ -70,7 +70,7 @@ def _sorted(line: StateLine, value_um: Floats) -> tuple[Floats, Floats]:
 
 
 @style.styled
-def applied_share(result: Verification) -> list[style.NamedFigure]:
+def applied_share(result: VerificationResult) -> list[style.NamedFigure]:
     """The applied share of every component with its 95 % interval; nothing where no error could be expected."""
     whole = [share for share in result.shares if share.part == "all"]
     if not whole:
@@ -110,8 +110,8 @@ def _draw_share(axes: Axes, k: int, share: Share) -> None:
 
 
 @style.styled
-def harm_maps(result: Verification) -> list[style.NamedFigure]:
-    """Residual less uncompensated error at like heat by position and time: the worst three on the page, and all."""
+def harm_maps(result: VerificationResult) -> list[style.NamedFigure]:
+    """Residual less uncompensated error at the same heat by position and time: the worst three on the page, and all."""
     if not result.harm:
         return []
     ordered = sorted(result.harm, key=lambda one: one.limit_um - one.largest_um)

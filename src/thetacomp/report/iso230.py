@@ -11,15 +11,15 @@ import numpy as np
 from thetacomp.campaign import Campaign
 from thetacomp.machine import Machine
 from thetacomp.report.figures_iso230 import positioning_figure, thermal_figure
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import draw
 from thetacomp.report.style import HOUR_S, file_label
 from thetacomp.report.tables import NOT_AVAILABLE, number
 from thetacomp.standards.campaign_tests import Evaluated
+from thetacomp.standards.figure_rows import AXIS_SYMBOLS, TARGET_SYMBOLS, FigureRow, axis_u_um, figure_rows
 from thetacomp.standards.instrument import Instrument
 from thetacomp.standards.iso230_2 import Positioning
 from thetacomp.standards.iso230_3 import ThermalTest
-from thetacomp.standards.rows import AXIS_SYMBOLS, TARGET_SYMBOLS, Row, axis_u_um, rows
 from thetacomp.table_file import csv_text, plain
 
 TABLE = "iso230.csv"
@@ -40,10 +40,10 @@ class Grid:
 def iso230_files(machine: Machine | None, tests: Sequence[Evaluated]) -> dict[str, str | bytes]:
     """`iso230.csv`, a page for each test and its figure in `figures/`, by file name, the table first.
 
-    `machine` is None for a lone table. Letters that no installed font can draw are told on stderr.
+    `machine` is None for a lone table. Letters that no installed font can draw are reported on stderr.
     """
-    cells = ([plain(value) for value in astuple(row)] for test in tests for row in rows(test))
-    files: dict[str, str | bytes] = {TABLE: csv_text([field.name for field in fields(Row)], cells)}
+    cells = ([plain(value) for value in astuple(row)] for test in tests for row in figure_rows(test))
+    files: dict[str, str | bytes] = {TABLE: csv_text([field.name for field in fields(FigureRow)], cells)}
     for name, test in zip(_names(tests), tests, strict=True):
         files |= _page_files(name, test, machine)
     return files
@@ -173,7 +173,7 @@ def _conditions(test: Evaluated) -> list[str]:
             words += _temperature_words(test.campaign, start_s, end_s)
         words += _settings_words(test.campaign)
     lone = "not stated: a separate table has no uncertainty"
-    words.append(f"Instrument: {test.instrument.words if test.campaign is not None else lone}.")
+    words.append(f"Instrument: {test.instrument.statement if test.campaign is not None else lone}.")
     return words
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from html import escape
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.report import tables
 from thetacomp.report.figures_validation import before_and_after
 from thetacomp.report.rendering import inline_svg, render
 
 
-def analysis_html(analysis: Analysis) -> str:
+def analysis_html(analysis: AnalysisResult) -> str:
     """A few lines and one picture, as HTML for the inside of a page."""
     verdict = tables.verdict(analysis)
     split = tables.main_split(analysis)

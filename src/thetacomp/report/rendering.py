@@ -87,7 +87,7 @@ class Drawings:
 
 
 def draw(figures: Sequence[style.NamedFigure]) -> Drawings:
-    """Draw all figures of a page. What went wrong is told on stderr, once."""
+    """Draw all figures of a page. Errors are reported on stderr, once."""
     drawings = Drawings(tuple(figures), tuple(render(figure) for figure in figures))
     for remark in drawings.remarks():
         print(f"note: {remark}", file=sys.stderr)

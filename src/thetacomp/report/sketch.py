@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.report import style
 
@@ -73,7 +73,7 @@ class _Mark:
 
 
 @style.styled
-def machine_sketch(analysis: Analysis) -> list[style.NamedFigure]:
+def machine_sketch(analysis: AnalysisResult) -> list[style.NamedFigure]:
     """The sensors on the machine, key points coloured, with a table of where each sensor is mounted."""
     machine = analysis.folder.machine
     read = frozenset(i for campaign in analysis.folder.campaigns for i in campaign.temperatures.sensor_ids)
@@ -100,7 +100,7 @@ def machine_sketch(analysis: Analysis) -> list[style.NamedFigure]:
     return [style.NamedFigure("machine_sketch", "placement", "Sensors on the machine", caption, figure)]
 
 
-def key_colors(analysis: Analysis) -> dict[str, str]:
+def key_colors(analysis: AnalysisResult) -> dict[str, str]:
     """Each key point with its colour, the same in every picture."""
     keys = dict.fromkeys(sensor for points in analysis.key_points for sensor in points.key_points)
     return {sensor: style.KEY_COLORS[k % len(style.KEY_COLORS)] for k, sensor in enumerate(keys)}
@@ -198,7 +198,7 @@ def _floor_type_marks(machine: Machine) -> list[_Mark]:
 
 
 def _label_marks(axes: Axes, marks: Sequence[_Mark], look: _Look, middle_u: float) -> None:
-    """Ids in two columns beside the drawing, each with a line to its mark."""
+    """Ids in two columns next to the drawing, each with a line to its mark."""
     low_u, high_u = axes.get_xlim()
     low_v, high_v = axes.get_ylim()
     for side in ("left", "right"):

@@ -1,4 +1,4 @@
-"""One quiet look for all pictures: colours that colour-blind readers can tell apart, fonts, small layout helpers."""
+"""One quiet look for all pictures: colours that colour-blind readers can distinguish, fonts, small layout helpers."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def grid_of_axes(figure: Figure, rows: int, columns: int) -> list[list[Axes]]:
 
 
 def time_bar(figure: Figure, axes: Iterable[Axes], norm: Normalize) -> None:
-    """A colour bar in hours beside `axes`."""
+    """A colour bar in hours next to `axes`."""
     bar = figure.colorbar(ScalarMappable(norm, TIME_COLORS), ax=list(axes), pad=0.015, aspect=36)
     bar.set_label("time since the start of the campaign (h)")
     bar.outline.set_visible(False)
@@ -163,7 +163,7 @@ def time_norm(times_s: Sequence[Floats]) -> Normalize:
 
 
 def unit_of(direction: str) -> str:
-    """Unit of an error in a direction: an angle is told in µrad."""
+    """Unit of an error in a direction: an angle is given in µrad."""
     return "µrad" if direction in ("A", "B", "C") else "µm"
 
 

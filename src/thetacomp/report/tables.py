@@ -1,4 +1,4 @@
-"""Tables and words of the report page, made from an `Analysis`: no HTML here, no drawing."""
+"""Tables and words of the report page, made from an `AnalysisResult`: no HTML here, no drawing."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from datetime import datetime
 
 import numpy as np
 
-from thetacomp.analysis_result import Analysis
+from thetacomp.analysis_result import AnalysisResult
+from thetacomp.axis_states import LINE_POSITIONS
 from thetacomp.campaign import Campaign
 from thetacomp.model.document import Component, ModelDocument
 from thetacomp.model.law import ComponentLaw, component_laws
 from thetacomp.report import style
-from thetacomp.report.prediction import explains
+from thetacomp.report.predicted_states import explains
 from thetacomp.sensors.key_points import AxisKeyPoints
 from thetacomp.separation.component import ComponentSeparation
-from thetacomp.states import LINE_POSITIONS
-from thetacomp.validation.rows import ValidationRow
+from thetacomp.validation.outcome import ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS, pooled
 
 NOT_AVAILABLE = "–"
@@ -68,7 +68,7 @@ class KeyPoint:
 
 @dataclass(frozen=True)
 class Headline:
-    """Held-out figures of one component, with the residual maximum of the clock beside them (NaN: none)."""
+    """Held-out figures of one component, with the residual maximum of the clock (NaN: none)."""
 
     name: str
     row: ValidationRow
@@ -77,9 +77,9 @@ class Headline:
 
 @dataclass(frozen=True)
 class ValidationLine:
-    """One line of the table: the names of its models, their row, `states` and `points` (None: not told).
+    """One line of the table: the names of its models, their row, `states` and `points` (None: not stated).
 
-    `remark` is told instead of the figures where they are those of the default model.
+    `remark` is shown instead of the figures where they are those of the default model.
     """
 
     name: str
@@ -120,7 +120,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class StateTable:
-    """Slope and intercept of one component at its states; `skipped` tells how many rows a long record left out."""
+    """Slope and intercept of one component at its states; `skipped` says how many rows were left out."""
 
     part: ComponentSeparation
     states: tuple[int, ...]
@@ -137,7 +137,7 @@ class CampaignLine:
     conditions: str
 
 
-def verdict(analysis: Analysis) -> Verdict:
+def verdict(analysis: AnalysisResult) -> Verdict:
     """Whether every acceptance check passed."""
     checks = analysis.acceptance
     failed = [check for check in checks if not check.passed]
@@ -157,7 +157,7 @@ def component_name(component: str) -> str:
     return f"column deviation {component[7:]}" if component.startswith("column_") else component
 
 
-def main_split(analysis: Analysis) -> str:
+def main_split(analysis: AnalysisResult) -> str:
     """The hold-out that the summary quotes: by campaign, else by state, else what there is."""
     splits = list(dict.fromkeys(row.split for row in analysis.validation))
     return next((s for s in ("test", "campaign", "state") if s in splits), splits[0] if splits else "")
@@ -173,7 +173,7 @@ def split_words(split: str) -> str:
     }.get(split, f"hold-out '{split}'")
 
 
-def headlines(analysis: Analysis) -> list[Headline]:
+def headlines(analysis: AnalysisResult) -> list[Headline]:
     """Column deviations where they exist, else the three largest components."""
     rows = pooled([r for r in analysis.validation if r.split == main_split(analysis)])
     found = [r for r in rows if r.model == "default" and math.isfinite(r.max_before_um)]
@@ -185,7 +185,7 @@ def headlines(analysis: Analysis) -> list[Headline]:
     ]
 
 
-def key_points(analysis: Analysis) -> list[KeyPoint]:
+def key_points(analysis: AnalysisResult) -> list[KeyPoint]:
     """Key points of every axis with the reasons for them."""
     machine = analysis.folder.machine
     found = []
@@ -206,7 +206,7 @@ def axis_name(points: AxisKeyPoints) -> str:
 def _reason(points: AxisKeyPoints, sensor: str) -> str:
     """What the search for the fewest sensors says, for it speaks of held-out µm; else the last strategy."""
     said = {
-        table.strategy: v.reason for table in points.tables for v in table.verdicts if v.sensor == sensor and v.stays
+        table.strategy: v.reason for table in points.tables for v in table.decisions if v.sensor == sensor and v.stays
     }
     return said.get("fewest sensors", list(said.values())[-1] if said else points.method)
 
@@ -221,19 +221,19 @@ def counted(number: int, noun: str, plural: str = "") -> str:
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
-def sensors_with_readings(analysis: Analysis, parts: Sequence[ComponentSeparation]) -> int:
+def sensors_with_readings(analysis: AnalysisResult, parts: Sequence[ComponentSeparation]) -> int:
     """Number of sensors that have readings in every campaign of these separations."""
     known = [set(analysis.folder.campaign(s.campaign).temperatures.sensor_ids) for s in parts]
     return len(set.intersection(*known)) if known else 0
 
 
-def nothing_was_chosen(analysis: Analysis, points: AxisKeyPoints) -> bool:
+def nothing_was_chosen(analysis: AnalysisResult, points: AxisKeyPoints) -> bool:
     """Whether the key point of an axis is the only sensor that has readings."""
     mine = [s for s in analysis.separations if (s.axis or "") == points.axis]
     return bool(points.key_points) and sensors_with_readings(analysis, mine) == 1
 
 
-def equations(analysis: Analysis, document: ModelDocument) -> list[Equation]:
+def equations(analysis: AnalysisResult, document: ModelDocument) -> list[Equation]:
     """The equations of a model with what each of its two terms explains in-sample."""
     found = []
     for name, law in component_laws(document.control).items():
@@ -251,7 +251,7 @@ def _explained(law: ComponentLaw, power: int) -> str:
     return number(term.r_squared, 2) if explains(law, power) else "not explained"
 
 
-def validation_tables(analysis: Analysis) -> list[ValidationTable]:
+def validation_tables(analysis: AnalysisResult) -> list[ValidationTable]:
     """For each kind of hold-out one table; where there are several campaigns, each of them folded behind it."""
     tables = []
     for split in dict.fromkeys(row.split for row in analysis.validation):
@@ -266,11 +266,11 @@ def validation_tables(analysis: Analysis) -> list[ValidationTable]:
     return tables
 
 
-def _groups(analysis: Analysis, rows: Sequence[ValidationRow]) -> tuple[ValidationGroup, ...]:
+def _groups(analysis: AnalysisResult, rows: Sequence[ValidationRow]) -> tuple[ValidationGroup, ...]:
     return tuple(_group(analysis, rows, *key) for key in dict.fromkeys((r.component, r.campaign) for r in rows))
 
 
-def _group(analysis: Analysis, rows: Sequence[ValidationRow], component: str, campaign: str) -> ValidationGroup:
+def _group(analysis: AnalysisResult, rows: Sequence[ValidationRow], component: str, campaign: str) -> ValidationGroup:
     mine = [r for r in rows if r.component == component and r.campaign == campaign]
     rank = {model: k for k, model in enumerate(_MODEL_ORDER)}
     mine.sort(key=lambda r: rank.get(r.model, 1.5))
@@ -294,7 +294,7 @@ def _same_figures(one: ValidationRow, other: ValidationRow) -> bool:
     )
 
 
-def _belongs(analysis: Analysis, part: ComponentSeparation, component: str) -> bool:
+def _belongs(analysis: AnalysisResult, part: ComponentSeparation, component: str) -> bool:
     """Whether a separation stands behind a component, or behind the column deviation of its direction."""
     if not component.startswith("column_"):
         return part.component == component
@@ -302,7 +302,7 @@ def _belongs(analysis: Analysis, part: ComponentSeparation, component: str) -> b
     return part.axis in vertical and part.direction == component.removeprefix("column_")
 
 
-def _line(analysis: Analysis, name: str, row: ValidationRow, remark: str = "") -> ValidationLine:
+def _line(analysis: AnalysisResult, name: str, row: ValidationRow, remark: str = "") -> ValidationLine:
     """States and points of a row: already separated lines and drift have states alone, no measured points."""
     parts = [s for s in analysis.separations if s.component == row.component]
     if row.component.startswith("column_") or all(s.axis is None for s in parts):
@@ -327,7 +327,7 @@ def date_words(created: str) -> str:
     return f"{moment:%Y-%m-%d %H:%M} {moment.tzname() or ''}".strip()
 
 
-def state_tables(analysis: Analysis) -> list[StateTable]:
+def state_tables(analysis: AnalysisResult) -> list[StateTable]:
     """Slopes and intercepts of all components; long records are thinned evenly."""
     tables = []
     for part in analysis.separations:
@@ -339,7 +339,7 @@ def state_tables(analysis: Analysis) -> list[StateTable]:
     return tables
 
 
-def campaign_lines(analysis: Analysis) -> list[CampaignLine]:
+def campaign_lines(analysis: AnalysisResult) -> list[CampaignLine]:
     """What was analysed, campaign by campaign."""
     lines = []
     for campaign in analysis.folder.campaigns:
@@ -358,7 +358,7 @@ def campaign_lines(analysis: Analysis) -> list[CampaignLine]:
     return lines
 
 
-def _content(analysis: Analysis, campaign: Campaign) -> str:
+def _content(analysis: AnalysisResult, campaign: Campaign) -> str:
     sensors = len(campaign.temperatures.sensor_ids)
     rows = len(campaign.temperatures.t_s)
     content = [f"{counted(sensors, 'sensor')}, {counted(rows, 'temperature row')}"]

@@ -9,10 +9,10 @@ import numpy as np
 
 from thetacomp.report import tables
 from thetacomp.report.figures_verification import verification_figures
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import Drawings, draw
 from thetacomp.table_file import Cell, Number, csv_text, fixed
-from thetacomp.verification.findings import BeforeAfter, RunFacts, Verification
+from thetacomp.verification.outcome import BeforeAfter, RunFacts, VerificationResult
 
 OWN = ("verification*", "figures/verification_*")
 PAGE_FILE = "verification.html"
@@ -30,13 +30,13 @@ class RiseLine:
     on_K: float
 
 
-def verification_files(result: Verification) -> dict[str, str | bytes]:
+def verification_files(result: VerificationResult) -> dict[str, str | bytes]:
     """The page, three tables and the figures, by file name, the page first."""
     drawings = draw(verification_figures(result))
     return {PAGE_FILE: _page(result, drawings), **_tables(result), **drawings.files()}
 
 
-def _page(result: Verification, drawings: Drawings) -> str:
+def _page(result: VerificationResult, drawings: Drawings) -> str:
     rows = _rows_to_show(result)
     return page(
         "thetacomp.report/verification.html.j2",
@@ -53,7 +53,7 @@ def _page(result: Verification, drawings: Drawings) -> str:
     )
 
 
-def _rows_to_show(result: Verification) -> list[BeforeAfter]:
+def _rows_to_show(result: VerificationResult) -> list[BeforeAfter]:
     """The column deviation first, then as many components as fit on the page, the largest first."""
     columns = [row for row in result.rows if row.component.startswith("column")]
     others = sorted((r for r in result.rows if r not in columns), key=lambda row: -row.of("max").before_um)
@@ -61,7 +61,7 @@ def _rows_to_show(result: Verification) -> list[BeforeAfter]:
     return columns + [row for row in result.rows if row in kept]
 
 
-def _straightness_to_show(result: Verification) -> list[tuple[str, object, object]]:
+def _straightness_to_show(result: VerificationResult) -> list[tuple[str, object, object]]:
     """Component with its two straightness figures, least squares and end points."""
     names = list(dict.fromkeys(one.component for one in result.straightness))
     return [(name, *(one for one in result.straightness if one.component == name)) for name in names]  # type: ignore[misc]
@@ -72,7 +72,7 @@ def _rises(off: RunFacts, on: RunFacts) -> list[RiseLine]:
     return [RiseLine(name, rise, rises.get(name, float("nan"))) for name, rise in off.rises_K[:_MOST_SENSORS]]
 
 
-def _tables(result: Verification) -> dict[str, str]:
+def _tables(result: VerificationResult) -> dict[str, str]:
     before_after: list[Sequence[Cell]] = [
         (row.component, row.states_off, row.states_on, s.kind, *map(_plain, (
             s.before_um, s.like_before_um, s.after_um, s.reduction_percent, s.like_reduction_percent,

@@ -1,9 +1,9 @@
-"""Data hygiene: faulty temperature channels found from the other sensors, mended where possible, with the evidence.
+"""Data hygiene: faulty temperature channels found from the other sensors, repaired where possible, with the evidence.
 
 At run time it needs numpy alone, so that the online service can screen live samples with the same code.
 """
 
-from thetacomp.screening.detector import Detector, Verdict
+from thetacomp.screening.detector import Detector, ScreenedSample
 from thetacomp.screening.faults import Finding, with_fault
 from thetacomp.screening.held_labels import find_held_labels
 from thetacomp.screening.model import DetectionLimit, ScreeningModel, from_json
@@ -13,9 +13,9 @@ __all__ = [
     "DetectionLimit",
     "Detector",
     "Finding",
+    "ScreenedSample",
     "Screening",
     "ScreeningModel",
-    "Verdict",
     "find_held_labels",
     "fit_screening",
     "from_json",

@@ -16,12 +16,12 @@ from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, LeadIn, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.model.temperatures import Temperatures
+from thetacomp.screening.campaign_labels import HeldLabels, labels_note, without_held_labels
 from thetacomp.screening.faults import Finding
 from thetacomp.screening.fit import fit_plain
-from thetacomp.screening.labels import HeldLabels, labels_note, without_held_labels
 from thetacomp.screening.model import ScreeningModel
+from thetacomp.screening.notes import campaign_notes, join
 from thetacomp.screening.screen import Screening, cleaned, screen
-from thetacomp.screening.words import campaign_notes, join
 
 MIN_TEACHERS = 2
 MIN_SAMPLES = 100
@@ -51,8 +51,8 @@ class ScreenedChannel:
 class ScreenedFolder:
     """A machine folder as the analysis uses it, with the evidence.
 
-    `findings` are all faults by campaign, also those of no single sensor; `repair` is False where they were only told.
-    `unscreened` names the campaigns that could not be judged, with the reason.
+    `findings` are all faults by campaign, also those of no single sensor; `repair` is False where they were only
+    reported. `unscreened` names the campaigns that could not be judged, with the reason.
     """
 
     folder: MachineFolder
@@ -67,7 +67,7 @@ class ScreenedFolder:
 def screened(
     folder: MachineFolder, train: Sequence[str], test: Sequence[str] = (), repair: bool = True
 ) -> ScreenedFolder:
-    """Screen the named campaigns and repair them, or only tell what was found where `repair` is False.
+    """Screen the named campaigns and repair them, or only report what was found where `repair` is False.
 
     Every campaign is screened by a model of the other campaigns of `train`; those of `test` teach nobody. The other
     campaigns of the folder stay as they are. Raises nothing: a campaign that cannot be screened is named.

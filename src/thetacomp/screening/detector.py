@@ -11,8 +11,8 @@ from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.screening.blocks import plausible
 from thetacomp.screening.events import Event
+from thetacomp.screening.fault_monitor import FaultMonitor
 from thetacomp.screening.faults import Finding, Repair
-from thetacomp.screening.following import Follower
 from thetacomp.screening.model import ScreeningModel
 from thetacomp.screening.window import Healthy
 
@@ -21,7 +21,7 @@ PAUSE_BLOCKS = 3  # a longer pause of the whole logger starts the windows anew
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ScreenedSample:
     """What one sample is worth: the value to use (p,), the state of every sensor, and what was found just now.
 
     `lost` sensors hold NaN: use a model without them. `suspect` ones hold the last value that was believed or rebuilt.
@@ -35,7 +35,7 @@ class Verdict:
 
 @dataclass
 class _Block:
-    """Sums of the samples of one block; samples far from the last value count apart until the block is full."""
+    """Sums of the samples of one block; samples far from the last value count separately until it is full."""
 
     near: Floats
     far: Floats
@@ -66,7 +66,7 @@ class Detector:
     def __init__(self, model: ScreeningModel) -> None:
         self.model = model
         self.p = len(model.sensor_ids)
-        self.follower = Follower(model)
+        self.monitor = FaultMonitor(model)
         self._screened = np.array(model.screened)
         self._gate_K = 2.0 * model.gate_K + 1e-9
         self._block = _Block.empty(self.p)
@@ -77,7 +77,7 @@ class Detector:
         self._last_value = np.full(self.p, np.nan)
         self._found: list[Finding] = []
 
-    def update(self, t_s: float, value_degC: Floats) -> Verdict:
+    def update(self, t_s: float, value_degC: Floats) -> ScreenedSample:
         """Take one sample, (p,) in the order of the model; NaN for a missing reading.
 
         AnalysisError where the time does not advance or the number of values is another.
@@ -94,19 +94,19 @@ class Detector:
         if number > self._number:
             self._advance(number)
         self._last_t_s = t_s
-        value = np.where(plausible(value), value, np.nan)[self.follower.source]
+        value = np.where(plausible(value), value, np.nan)[self.monitor.source]
         good = np.isfinite(value)
         changed = good & (value != self._last_value)
         self._same_since_s[changed] = t_s
         self._last_value[changed] = value[changed]
         far = self._far(value)
         self._block.add(value, good, far)
-        return self._verdict(t_s, value, good & ~far)
+        return self._screened_sample(t_s, value, good & ~far)
 
     def findings(self) -> tuple[Finding, ...]:
         """All faults so far as they stand now, by their begin; an alarm that a later one explained is no fault."""
-        events = sorted((e for e in self.follower.events if e.decided), key=lambda e: e.onset_s)
-        return tuple(finding(self.model, e, self.follower.excluded - {e.j}, self._last_t_s) for e in events)
+        events = sorted((e for e in self.monitor.events if e.decided), key=lambda e: e.onset_s)
+        return tuple(finding(self.model, e, self.monitor.excluded - {e.j}, self._last_t_s) for e in events)
 
     def finish(self) -> tuple[Finding, ...]:
         """Close the block under way, for the end of a record; the findings it brings."""
@@ -118,45 +118,45 @@ class Detector:
         self._close(self._block.mean())
         self._block = _Block.empty(self.p)
         pause = number - self._number - 1
-        kept = min(pause, self.follower.history.keep)
+        kept = min(pause, self.monitor.history.keep)
         nothing = np.full(self.p, np.nan)
         for _ in range(kept):
             self._number += 1
             self._close(nothing)
         if pause > PAUSE_BLOCKS:
-            self.follower.restart()
+            self.monitor.restart()
         self._t0_s += (pause - kept) * self.model.step_s
         self._number += 1
 
     def _close(self, mean: Floats) -> None:
         begin_s = self._t0_s + self._number * self.model.step_s
         held_s = np.nan_to_num(self._last_t_s - self._same_since_s)
-        source = self.follower.source.copy()
-        for event in self.follower.block(begin_s, mean, held_s):
-            self._found.append(finding(self.model, event, self.follower.excluded, begin_s + self.model.step_s))
-        moved = self.follower.source != source
+        source = self.monitor.source.copy()
+        for event in self.monitor.block(begin_s, mean, held_s):
+            self._found.append(finding(self.model, event, self.monitor.excluded, begin_s + self.model.step_s))
+        moved = self.monitor.source != source
         if moved.any():
             # The channels were exchanged back: what is remembered of them goes with them.
-            order = np.array([int(np.flatnonzero(source == s)[0]) for s in self.follower.source])
+            order = np.array([int(np.flatnonzero(source == s)[0]) for s in self.monitor.source])
             self._last_value, self._same_since_s = self._last_value[order], self._same_since_s[order]
 
     def _far(self, value: Floats) -> Healthy:
         """Samples farther from the last block than any healthy one in training was."""
-        history = self.follower.history
+        history = self.monitor.history
         if history.count == 0:
             return np.zeros(self.p, bool)
         before = history.rows(history.count - 1, history.count)[0, : self.p]
         with np.errstate(invalid="ignore"):
             return np.asarray(np.abs(value - before) > self._gate_K)
 
-    def _verdict(self, t_s: float, value: Floats, usable: Healthy) -> Verdict:
-        follower, history = self.follower, self.follower.history
-        out = value - follower.offset_K
-        mended = (follower.offset_K != 0.0) | (follower.source != np.arange(self.p))
+    def _screened_sample(self, t_s: float, value: Floats, usable: Healthy) -> ScreenedSample:
+        monitor, history = self.monitor, self.monitor.history
+        out = value - monitor.offset_K
+        mended = (monitor.offset_K != 0.0) | (monitor.source != np.arange(self.p))
         states: list[State] = ["repaired" if m else "believed" for m in mended]
         last = history.rows(history.count - 1, history.count)[0, self.p : 2 * self.p] if history.count else None
-        for j in np.flatnonzero(~usable | ~self._screened).tolist() + list(follower.open):
-            event = follower.open.get(j)
+        for j in np.flatnonzero(~usable | ~self._screened).tolist() + list(monitor.open):
+            event = monitor.open.get(j)
             if not self.model.screened[j]:
                 states[j] = "unscreened"
             elif event is not None and self._lost(event):
@@ -164,11 +164,11 @@ class Detector:
             elif event is not None or not usable[j]:
                 states[j] = "repaired" if event is not None and event.decided else "suspect"
                 out[j] = last[j] if last is not None else np.nan
-        return Verdict(t_s, out, tuple(states), tuple(self._found))
+        return ScreenedSample(t_s, out, tuple(states), tuple(self._found))
 
     def _lost(self, event: Event) -> bool:
-        elapsed_s = (self.follower.history.count - event.onset) * self.model.step_s
-        return self.model.is_lost(event.j, elapsed_s, self.follower.excluded)
+        elapsed_s = (self.monitor.history.count - event.onset) * self.model.step_s
+        return self.model.is_lost(event.j, elapsed_s, self.monitor.excluded)
 
 
 def finding(model: ScreeningModel, event: Event, excluded: frozenset[int], until_s: float) -> Finding:

@@ -11,7 +11,7 @@ from thetacomp.screening.events import Event
 from thetacomp.screening.window import History
 
 BASE = 5  # blocks before the exchange that give the levels
-SAME_TIME = 3  # blocks that two onsets may lie apart
+SAME_TIME = 3  # blocks that may lie between two onsets
 
 
 def exchanged_with(history: History, event: Event, offset_K: Floats, opened: Mapping[int, Event]) -> int | None:

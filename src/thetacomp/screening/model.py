@@ -1,4 +1,4 @@
-"""What screening knows about a healthy machine: how the increments of its temperatures hang together.
+"""What screening knows about a healthy machine: how the increments of its temperatures are correlated.
 
 The increment of a sensor over a horizon is predicted from the increments of the other sensors and of their first-order
 lags by ridge regression. All of it is held as one matrix of mean products a horizon, so that the prediction from any

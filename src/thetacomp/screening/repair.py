@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from thetacomp.arrays import Floats
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.blocks import block_means, local_deviation_K, plausible
+from thetacomp.screening.change_point import fit_change
 from thetacomp.screening.events import Event
 from thetacomp.screening.fit import inputs
 from thetacomp.screening.model import ScreeningModel
-from thetacomp.screening.shapes import change
 from thetacomp.screening.window import BASE_BLOCKS
 
 SPIKE_TIMES = 3.0
@@ -24,7 +24,7 @@ REBUILT = ("drift", "detached", "stuck", "saturated", "missing", "noisy", "spike
 def repaired(
     model: ScreeningModel, table: Temperatures, events: Sequence[Event]
 ) -> tuple[Temperatures, NDArray[np.bool_]]:
-    """The table with every fault mended as far as it can be, and where a reading stands as it was read (n, p).
+    """The table with every fault repaired as far as possible, and where a reading is unchanged (n, p).
 
     A lost sensor is NaN from its fault on. `events` get their final kind and size, since the whole record is known.
     """
@@ -154,7 +154,7 @@ def _refine(model: ScreeningModel, table: Temperatures, value: Floats, event: Ev
     after = residual[(t_s > event.onset_s + 2.0 * model.step_s) & (t_s < end_s - model.step_s)][:BASE_BLOCKS]
     if np.isfinite(before).sum() >= 3 and np.isfinite(after).sum() >= 3:
         more_K = float(np.nanmean(after) - np.nanmean(before))
-        # Only the noise of the first estimate is mended here; more than that would be another fault.
+        # Only the noise of the first estimate is corrected here; more than that would be another fault.
         if abs(more_K) < 0.25 * abs(event.shift_K):
             on = np.abs(table.value_degC[:, event.j] - value[:, event.j] - event.shift_K) < 1e-9
             value[on, event.j] -= more_K
@@ -196,7 +196,7 @@ def _final_kind(event: Event, reading: Floats, rebuilt: Floats, gone: NDArray[np
     if event.kind == "drift":
         every = max(1, round(model.step_s / model.sampling_s), len(deviation) // 300)
         course = np.concatenate([np.zeros(5), deviation[::every]])
-        found = change(course, earliest=4)
+        found = fit_change(course, earliest=4)
         if not found.abrupt and 3.0 * found.time_constant < len(course):
             event.kind = "detached"
         event.size_K = float(np.nanmean(course[-5:]))

@@ -1,7 +1,7 @@
-"""Screening of the temperatures of a campaign: what can be believed, what was mended, what is lost, with the evidence.
+"""Screening of the temperatures of a campaign: what is believed, repaired or lost, with the evidence.
 
 Every sensor's increments are predicted from the others; a sensor that leaves its prediction by more than healthy ones
-ever did is taken out, watched, and mended from the healthy ones. `Detector` does the same for live samples.
+ever did is taken out, watched, and rebuilt from the healthy ones. `Detector` does the same for live samples.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ CLEAR = 1.5
 class Screening:
     """The screened table of a campaign.
 
-    `repaired` holds the mended values, NaN where a sensor is lost; `believed` (n, p) is True where the reading stands
-    as it was read; `lost` names the sensors of which a model has to do without, with the begin of the loss in s.
+    `repaired` holds the repaired values, NaN where a sensor is lost; `believed` (n, p) is True where the reading stands
+    as it was read; `lost` names the sensors of which a model has to do without, with the start of the loss in s.
     """
 
     findings: tuple[Finding, ...]
@@ -43,7 +43,7 @@ def fit_screening(campaigns: Sequence[Temperatures]) -> ScreeningModel:
     """Learn the healthy behaviour from training campaigns of one machine.
 
     Faults within the training are found by screening each campaign with what the others teach; the second fit uses the
-    mended tables, without the stretches that had to be rebuilt. AnalysisError where the campaigns are too few, too
+    repaired tables, without the stretches that had to be rebuilt. AnalysisError where the campaigns are too few, too
     short or of different sensors.
     """
     if len(campaigns) < 3:
@@ -56,7 +56,7 @@ def fit_screening(campaigns: Sequence[Temperatures]) -> ScreeningModel:
 
 
 def cleaned(table: Temperatures, others: Sequence[Temperatures]) -> Temperatures:
-    """A training table without its faults as the others show them: mended, or missing where it had to be rebuilt.
+    """A training table without the faults that the others show: repaired, or missing where it had to be rebuilt.
 
     AnalysisError as in `fit_screening`.
     """
@@ -88,7 +88,7 @@ def screen(model: ScreeningModel, temperatures: Temperatures) -> Screening:
     for t_s, value in zip(temperatures.t_s, temperatures.value_degC, strict=True):
         detector.update(float(t_s), value)
     detector.finish()
-    events = detector.follower.events
+    events = detector.monitor.events
     events += [e for e in sample_spikes(model, temperatures) if not any(_within(e, other) for other in events)]
     mended, believed = repaired(model, temperatures, [e for e in events if e.kind != "unexplained"])
     believed &= read

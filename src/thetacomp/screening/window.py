@@ -123,7 +123,7 @@ class History:
         return self._stacks[excluded]
 
     def statistic(self, excluded: frozenset[int]) -> Floats:
-        """Residuals of the newest increments in standard deviations (H, p); 0 where none can be told."""
+        """Residuals of the newest increments in standard deviations (H, p); 0 where none can be computed."""
         m, p, now = self.model, self.p, self.count - 1
         weights, growth, healthy = self.stack(excluded)
         earlier = now - self._steps

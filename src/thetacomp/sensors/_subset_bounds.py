@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from thetacomp.arrays import Floats
 from thetacomp.sensors._subset_kernel import DEPENDENT_SHARE, SWEEP_ERROR, TIE, Nodes, Products, sweep
 
-# Rounding of a bound from a long factorisation, beside what the smallest pivot adds.
+# Rounding of a bound from a long factorisation, in addition to what the smallest pivot adds.
 _SLACK = 1e-10
 
 
 def _order_by_loss(gram: Floats, mixed: Floats) -> NDArray[np.intp]:
     """Order (b, s) of the columns so that what is left explains less as fast as possible: the greatest loss first.
 
-    Only the speed of the search hangs on it, so a little is added to the diagonal to keep dependent columns apart.
+    Only the speed of the search depends on it, so a little is added to the diagonal against dependent columns.
     """
     size = gram.shape[1]
     inverse = np.linalg.inv(gram + 1e-9 * np.eye(size))
@@ -56,7 +56,7 @@ def _suffix_explained(gram: Floats, mixed: Floats) -> Floats:
 
 
 def branch(products: Products, k: int, nodes: Nodes, bounds: Floats, limit: float) -> tuple[Nodes, Floats]:
-    """Children of nodes that are all alike, each with more than three columns to add, and their bounds.
+    """Children of nodes of one shape, each with more than three columns to add, and their bounds.
 
     What cannot hold anything better than `limit` is left out.
     """

@@ -3,7 +3,7 @@
 Inputs have unit length over all rows (the diagonal of `gram` is 1), targets carry the square roots of their weights and
 together have the sum of squares 1. A subset's `residual` is then the unexplained share, its score in 0..1 or above.
 
-The search walks a tree: a node is a set of chosen columns and an ordered list of free ones, and stands for all subsets
+The search walks a tree: a node is a set of chosen columns and an ordered list of free ones, and represents all subsets
 that add `k - chosen` of the free columns. Nodes lie in rows (columns chosen, columns free, the chosen, the free ...);
 those with as many chosen and free columns are worked on together. With the chosen columns swept out of A = XᵀX and
 M = XᵀYWYᵀX, the pair (i, j) explains (A_jj M_ii - 2 A_ij M_ij + A_ii M_jj) / det more. That form is a filter: what it
@@ -135,7 +135,7 @@ def fold_squares(products: Products, subset: Subsets) -> Floats:
 
 
 class Incumbent:
-    """The best subset so far; of those that score alike the one listed first."""
+    """The best subset so far; of those with equal scores the one listed first."""
 
     def __init__(self, products: Products, k: int) -> None:
         self.products = products
@@ -243,19 +243,19 @@ def sweep(products: Products, nodes: Nodes) -> Swept:
     return Swept(gram[kept, chosen:, chosen:], mixed[kept, chosen:], explained[kept], smallest[kept], kept)
 
 
-def pair_margins(gram: Floats, joint: Floats, needed: Floats, error: Floats) -> Floats:
+def pair_margins(gram: Floats, mixed_gram: Floats, needed: Floats, error: Floats) -> Floats:
     """(gain - needed) det of every pair of columns, (b, s, s): what it explains more than is `needed` (b,), times det.
 
-    `gram` and `joint` (b, s, s) are A and M with everything else swept out; rounding (`error`, b) is added.
+    `gram` and `mixed_gram` (b, s, s) are A and M with everything else swept out; rounding (`error`, b) is added.
     """
-    own, joint_own = np.einsum("bii->bi", gram), np.einsum("bii->bi", joint)
-    half = joint_own + error[:, None] - 0.5 * needed[:, None] * own
+    own, mixed_own = np.einsum("bii->bi", gram), np.einsum("bii->bi", mixed_gram)
+    half = mixed_own + error[:, None] - 0.5 * needed[:, None] * own
     crossed: Floats = half[:, :, None] * own[:, None]
-    return crossed + crossed.transpose(0, 2, 1) - gram * (2.0 * joint - needed[:, None, None] * gram)
+    return crossed + crossed.transpose(0, 2, 1) - gram * (2.0 * mixed_gram - needed[:, None, None] * gram)
 
 
 def compare(nodes: Nodes, k: int, incumbent: Incumbent) -> int:
-    """Offer every subset of nodes, all alike and with two or three columns to add, that may be the best.
+    """Offer every subset of nodes of one shape, two or three columns to add, that may be the best.
 
     Returns the number of subsets compared.
     """
@@ -264,30 +264,30 @@ def compare(nodes: Nodes, k: int, incumbent: Incumbent) -> int:
     nodes = nodes[swept.kept]
     if not len(nodes):
         return 0
-    joint = swept.mixed @ swept.mixed.transpose(0, 2, 1)
+    mixed_gram = swept.mixed @ swept.mixed.transpose(0, 2, 1)
     columns, unexplained = nodes[:, 2 : 2 + k - add + size], 1.0 - swept.explained
     if add == 2:
-        _put_by(gram, joint, unexplained, swept.smallest, columns, incumbent)
+        _put_by(gram, mixed_gram, unexplained, swept.smallest, columns, incumbent)
         return len(nodes) * comb(size, 2)
     for p in range(size - 2):  # three columns to add: every free column with two after it is swept once
         own, after = np.maximum(gram[:, p, p], 0.1 * DEPENDENT_SHARE), slice(p + 1, size)
         row, lead = gram[:, p, after], gram[:, p, after] / own[:, None]
-        part = joint[:, p, after] - lead * joint[:, p, p, None]
+        part = mixed_gram[:, p, after] - lead * mixed_gram[:, p, p, None]
         left = gram[:, after, after] - lead[:, :, None] * row[:, None]
-        joint_left = joint[:, after, after] - lead[:, :, None] * joint[:, p, None, after]
-        joint_left -= part[:, :, None] * lead[:, None]
+        mixed_left = mixed_gram[:, after, after] - lead[:, :, None] * mixed_gram[:, p, None, after]
+        mixed_left -= part[:, :, None] * lead[:, None]
         chosen = np.column_stack([columns[:, : k - 3], columns[:, k - 3 + p :]])
         smallest = np.minimum(swept.smallest, own)
-        _put_by(left, joint_left, unexplained - joint[:, p, p] / own, smallest, chosen, incumbent)
+        _put_by(left, mixed_left, unexplained - mixed_gram[:, p, p] / own, smallest, chosen, incumbent)
     return len(nodes) * comb(size, 3)
 
 
 def _put_by(
-    gram: Floats, joint: Floats, unexplained: Floats, smallest: Floats, columns: Nodes, incumbent: Incumbent
+    gram: Floats, mixed_gram: Floats, unexplained: Floats, smallest: Floats, columns: Nodes, incumbent: Incumbent
 ) -> None:
     """Put by the pairs of free columns that may be better: A and M (b, s, s) of the last s of the `columns`."""
     needed = np.maximum(unexplained - incumbent.value - TIE, -1.0)
-    margins = pair_margins(gram, joint, needed, SWEEP_ERROR / smallest)
+    margins = pair_margins(gram, mixed_gram, needed, SWEEP_ERROR / smallest)
     if margins.max() < 0.0:
         return
     b, i, j = np.nonzero(margins >= 0.0)

@@ -8,7 +8,7 @@ from scipy import special
 from thetacomp.arrays import Floats, Ints
 from thetacomp.campaign import CorrelationTable
 
-# Below this many states the lag-1 autocorrelation cannot be told from the warm-up trend itself.
+# Below this many states the lag-1 autocorrelation cannot be separated from the warm-up trend itself.
 LONG_SERIES = 50
 STATES_OF_A_CAMPAIGN = 2
 

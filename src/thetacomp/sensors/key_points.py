@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Verdict:
+class StrategyDecision:
     """One sensor under one strategy. `figure` is the number that decided; `reason` says it in words."""
 
     sensor: str
@@ -22,12 +22,12 @@ class StrategyTable:
     strategy: str
     axis: str
     figure_name: str
-    verdicts: tuple[Verdict, ...]
+    decisions: tuple[StrategyDecision, ...]
 
     @property
     def kept(self) -> tuple[str, ...]:
         """The sensors that stay."""
-        return tuple(v.sensor for v in self.verdicts if v.stays)
+        return tuple(v.sensor for v in self.decisions if v.stays)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import CorrelationTable
 from thetacomp.sensors.correlation import correlations
-from thetacomp.states import AxisStates
 
 INTERCEPT, SLOPE = "intercept", "slope"
 

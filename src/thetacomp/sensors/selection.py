@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import CorrelationTable
 from thetacomp.errors import AnalysisError
 from thetacomp.folds import fold_numbers
@@ -16,9 +17,8 @@ from thetacomp.machine import Machine
 from thetacomp.sensors import strategies
 from thetacomp.sensors.correlation import correlations, effective_count, full_symmetric, p_value
 from thetacomp.sensors.holdout import HoldOut, line_targets
-from thetacomp.sensors.key_points import AxisKeyPoints, StrategyTable, Verdict
+from thetacomp.sensors.key_points import AxisKeyPoints, StrategyDecision, StrategyTable
 from thetacomp.sensors.parameters import ParameterTable, parameter_table
-from thetacomp.states import AxisStates
 
 Method = Literal["weighted", "paper"]
 
@@ -52,8 +52,8 @@ def key_points_from_correlations(
 ) -> tuple[AxisKeyPoints, ...]:
     """The paper's way from published tables alone, one result a moving axis.
 
-    Rows of `parameter_correlations` are named such as `EYX slope`. `machine` tells which sensors sit on a drive and
-    how long the names of its axes are; without it the medoid of each group stands for it. `thresholds` sets the
+    Rows of `parameter_correlations` are named such as `EYX slope`. `machine` says which sensors sit on a drive and
+    how long the names of its axes are; without it the medoid of each group represents it. `thresholds` sets the
     largest regret by axis. Raises AnalysisError for a row whose name is not understood, or where the two tables have
     no sensor in common.
     """
@@ -204,10 +204,10 @@ def select_key_points(
     return _with_excluded(result, excluded)
 
 
-def _usable_sensors(table: ParameterTable) -> tuple[list[int], tuple[Verdict, ...]]:
+def _usable_sensors(table: ParameterTable) -> tuple[list[int], tuple[StrategyDecision, ...]]:
     """Columns of the sensors that can be used, and a verdict for each of the others."""
     usable: list[int] = []
-    excluded: list[Verdict] = []
+    excluded: list[StrategyDecision] = []
     n = len(table.campaign)
     for j, sensor in enumerate(table.sensors):
         column = table.rise_K[:, j]
@@ -221,14 +221,14 @@ def _usable_sensors(table: ParameterTable) -> tuple[list[int], tuple[Verdict, ..
         else:
             usable.append(j)
             continue
-        excluded.append(Verdict(sensor, False, float("nan"), reason))
+        excluded.append(StrategyDecision(sensor, False, float("nan"), reason))
     return usable, tuple(excluded)
 
 
-def _with_excluded(result: AxisKeyPoints, excluded: tuple[Verdict, ...]) -> AxisKeyPoints:
+def _with_excluded(result: AxisKeyPoints, excluded: tuple[StrategyDecision, ...]) -> AxisKeyPoints:
     """Every sensor appears in the first table, those that could not be used at its end."""
     first, *others = result.tables
-    return replace(result, tables=(replace(first, verdicts=first.verdicts + excluded), *others))
+    return replace(result, tables=(replace(first, decisions=first.decisions + excluded), *others))
 
 
 def _voting(
@@ -284,5 +284,5 @@ def _fewest(
         return fewest
     warning = f"; only {n} states, so chance can look like a cause: measure more before trusting it"
     return replace(
-        fewest, verdicts=tuple(replace(v, reason=v.reason + warning) if v.stays else v for v in fewest.verdicts)
+        fewest, decisions=tuple(replace(v, reason=v.reason + warning) if v.stays else v for v in fewest.decisions)
     )

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from thetacomp.arrays import Floats
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.moments import Summary, summarise
 from thetacomp.sensors.holdout import line_targets
 from thetacomp.sensors.parameters import parameter_table
 from thetacomp.sensors.subset import best_subset, selection_frequency
-from thetacomp.states import AxisStates
 
 if TYPE_CHECKING:
     from thetacomp.sensors.subset import SearchProgress, SubsetResult
@@ -107,7 +107,7 @@ def sensor_curve(
 ) -> SensorCurve:
     """Search the best sets of `counts` sensors (default 1 to 6, less than all) and draw the campaigns anew.
 
-    `budget_s` is for each number of sensors; `stop` is asked between rounds of the search. Raises AnalysisError where
+    `budget_s` is for each number of sensors; `stop` is polled between rounds of the search. Raises AnalysisError where
     campaigns, states or sensors are too few.
     """
     summaries = campaign_summaries(states)
@@ -219,7 +219,7 @@ def _shares(
         return None
     try:
         found = selection_frequency(summaries, count, seed=SEED, draws=draws, score=score, weights_um=weights_um)
-    except AnalysisError:  # a draw of few campaigns may not tell the sensors apart
+    except AnalysisError:  # in a draw of few campaigns the sensors may be collinear
         return None
     return SelectionShares(count, found.sensors, tuple(float(share) for share in found.share), draws)
 

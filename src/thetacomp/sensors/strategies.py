@@ -2,7 +2,7 @@
 
 Five of the six strategies of Yang (dissertation, Shanghai Jiao Tong University 1998, as cited by Cui, Gao, Yao 2012).
 The sixth, observability, asks whether the deformation can be reconstructed from the readings: that needs a model of
-the deformation and cannot be told from correlations.
+the deformation and cannot be judged by correlations.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
 from thetacomp.arrays import Floats
-from thetacomp.sensors.key_points import StrategyTable, Verdict
+from thetacomp.sensors.key_points import StrategyDecision, StrategyTable
 
 NAN = float("nan")
 
 WEIGHTED_REGRET = 0.20
-# Within this of the best |r| of one parameter a sensor tells that parameter as well as the best does.
+# Within this of the best |r| of one parameter a sensor predicts that parameter as well as the best does.
 NEAR_BEST = 0.05
-# Two sensors with |r| = 0.9 still tell a gradient or a history by their difference, which a model can use.
+# The difference of two sensors with |r| = 0.9 still holds a gradient or a history, which a model can use.
 GROUP_R = 0.95
 MIN_GAIN = 0.05
 # No instrument resolves a gain below this, so it is no reason for another sensor.
@@ -72,10 +72,10 @@ def main_factor_paper(
     figure_name = f"largest regret of |r|, up to {limit:.2f} stays"
     if threshold is None:
         figure_name += f" ({PAPER_FACTOR:g} × smallest {float(np.nanmin(worst)):.2f} + {PAPER_ROUNDING:g})"
-    verdicts = []
+    decisions = []
     for j, sensor in enumerate(sensors):
         if not known[j]:
-            verdicts.append(Verdict(sensor, False, NAN, "no correlation with any parameter"))
+            decisions.append(StrategyDecision(sensor, False, NAN, "no correlation with any parameter"))
             continue
         row = int(np.nanargmax(regret[:, j]))
         best = int(np.nanargmax(np.abs(correlation[row])))
@@ -84,8 +84,8 @@ def main_factor_paper(
             f"{'within' if stays else 'above'} {limit:.2f}; {parameters[row]} |r| {abs(correlation[row, j]):.2f},"
             f" best {abs(correlation[row, best]):.2f} ({sensors[best]})"
         )
-        verdicts.append(Verdict(sensor, stays, float(worst[j]), reason))
-    return StrategyTable("main factor (paper)", axis, figure_name, tuple(verdicts))
+        decisions.append(StrategyDecision(sensor, stays, float(worst[j]), reason))
+    return StrategyTable("main factor (paper)", axis, figure_name, tuple(decisions))
 
 
 def main_factor(
@@ -107,16 +107,18 @@ def main_factor(
     weight = weight_um[:, None] * known
     total = weight.sum(axis=0)
     mean = np.where(total > 0, (np.where(known, regret, 0.0) * weight).sum(axis=0) / np.where(total > 0, total, 1), NAN)
-    verdicts = []
+    decisions = []
     for j, sensor in enumerate(sensors):
         if not np.isfinite(mean[j]):
-            verdicts.append(Verdict(sensor, False, NAN, "no correlation with any parameter that votes"))
+            decisions.append(StrategyDecision(sensor, False, NAN, "no correlation with any parameter that votes"))
         elif mean[j] <= threshold:
             reason = f"on average within {threshold:.2f} of the best |r|, {len(parameters)} parameters weighted by µm"
-            verdicts.append(Verdict(sensor, True, float(mean[j]), reason))
+            decisions.append(StrategyDecision(sensor, True, float(mean[j]), reason))
         elif near := [i for i in range(len(parameters)) if known[i, j] and regret[i, j] <= NEAR_BEST]:
             named = ", ".join(f"{parameters[i]} ({weight_um[i]:.0f} µm)" for i in near)
-            verdicts.append(Verdict(sensor, True, float(mean[j]), f"within {NEAR_BEST} of the best |r| for {named}"))
+            decisions.append(
+                StrategyDecision(sensor, True, float(mean[j]), f"within {NEAR_BEST} of the best |r| for {named}")
+            )
         else:
             loss = np.where(known[:, j], regret[:, j] * weight_um, -1.0)
             i = int(np.argmax(loss))
@@ -124,8 +126,8 @@ def main_factor(
                 f"above {threshold:.2f}; loses most in {parameters[i]} ({weight_um[i]:.0f} µm):"
                 f" |r| {abs(correlation[i, j]):.2f}, best {np.nanmax(np.abs(correlation[i])):.2f}"
             )
-            verdicts.append(Verdict(sensor, False, float(mean[j]), reason))
-    return StrategyTable("main factor", axis, "mean regret of |r|, weighted by µm", tuple(verdicts))
+            decisions.append(StrategyDecision(sensor, False, float(mean[j]), reason))
+    return StrategyTable("main factor", axis, "mean regret of |r|, weighted by µm", tuple(decisions))
 
 
 def correlation_groups(sensors: Sequence[str], correlation: Floats, threshold: float) -> tuple[tuple[str, ...], ...]:
@@ -158,14 +160,14 @@ def mutual_irrelevance(
     drive_sensors: Sequence[str] = (),
     threshold: float = GROUP_R,
 ) -> tuple[StrategyTable, tuple[tuple[str, ...], ...]]:
-    """Mutual irrelevance: one representative of every group of sensors that tell the same.
+    """Mutual irrelevance: one representative of every group of redundant sensors.
 
     The representative is the first of `drive_sensors` (those on the drive of the moving axis) in the group, else the
     group's medoid. Returns the table and the groups. The figure is |r| with the representative.
     """
     groups = correlation_groups(sensors, correlation, threshold)
     names = list(sensors)
-    verdicts: dict[str, Verdict] = {}
+    decisions: dict[str, StrategyDecision] = {}
     for group in groups:
         drives = [s for s in drive_sensors if s in group]
         chosen = drives[0] if drives else medoid(group, sensors, correlation)
@@ -182,9 +184,9 @@ def mutual_irrelevance(
                 reason = f"on the drive of axis {axis}; stands for {others}"
             else:
                 reason = f"middle of its group; stands for {others}"
-            verdicts[sensor] = Verdict(sensor, sensor == chosen, r, reason)
+            decisions[sensor] = StrategyDecision(sensor, sensor == chosen, r, reason)
     table = StrategyTable(
-        "mutual irrelevance", axis, "|r| with the representative", tuple(verdicts[s] for s in sensors)
+        "mutual irrelevance", axis, "|r| with the representative", tuple(decisions[s] for s in sensors)
     )
     return table, groups
 
@@ -205,7 +207,7 @@ def fewest_sensors(
     chosen: list[int] = []
     before = error_um([])
     none_um = before
-    verdicts: list[Verdict] = []
+    decisions: list[StrategyDecision] = []
     full = False
     while len(chosen) < len(candidates):
         if len(chosen) >= limit:
@@ -216,7 +218,7 @@ def fewest_sensors(
         if not (trial[best] < before * (1.0 - min_gain) and trial[best] < before - MIN_GAIN_UM):
             break
         reason = f"hold-out error {before:.1f} -> {trial[best]:.1f} µm over the travel ({scheme})"
-        verdicts.append(Verdict(candidates[best], True, trial[best], reason))
+        decisions.append(StrategyDecision(candidates[best], True, trial[best], reason))
         chosen.append(best)
         before = trial[best]
     for j, sensor in enumerate(candidates):
@@ -231,9 +233,9 @@ def fewest_sensors(
             reason = (
                 f"no gain of {100 * min_gain:.0f} %: {before:.1f} µm without it, {with_it:.1f} µm with it ({scheme})"
             )
-        verdicts.append(Verdict(sensor, False, with_it, reason))
+        decisions.append(StrategyDecision(sensor, False, with_it, reason))
     name = f"hold-out error with it, µm (without a sensor {none_um:.1f})"
-    return StrategyTable("fewest sensors", axis, name, tuple(verdicts))
+    return StrategyTable("fewest sensors", axis, name, tuple(decisions))
 
 
 def maximum_sensitivity(axis: str, sensors: Sequence[str], rise_K: Floats) -> StrategyTable:
@@ -243,15 +245,17 @@ def maximum_sensitivity(axis: str, sensors: Sequence[str], rise_K: Floats) -> St
     """
     span = spans(rise_K)
     largest = float(np.nanmax(span)) if np.isfinite(span).any() else NAN
-    verdicts = []
+    decisions = []
     for sensor, value in zip(sensors, span, strict=True):
         if not np.isfinite(value):
-            verdicts.append(Verdict(sensor, False, NAN, "no reading"))
+            decisions.append(StrategyDecision(sensor, False, NAN, "no reading"))
             continue
         stays = bool(value >= SENSITIVE_SHARE * largest and value > 0)
         share = 100.0 * value / largest if largest > 0 else 0.0
-        verdicts.append(Verdict(sensor, stays, float(value), f"{share:.0f} % of the largest span, {largest:.1f} K"))
-    return StrategyTable("maximum sensitivity", axis, "span of temperature, K", tuple(verdicts))
+        decisions.append(
+            StrategyDecision(sensor, stays, float(value), f"{share:.0f} % of the largest span, {largest:.1f} K")
+        )
+    return StrategyTable("maximum sensitivity", axis, "span of temperature, K", tuple(decisions))
 
 
 def nearest_linear(
@@ -277,16 +281,16 @@ def nearest_linear(
         if shares and sum(weights) > 0:
             figure[j] = np.average(shares, weights=weights)
     best = float(np.nanmin(figure)) if np.isfinite(figure).any() else NAN
-    verdicts = []
+    decisions = []
     for sensor, percent in zip(sensors, figure, strict=True):
         if not np.isfinite(percent):
-            verdicts.append(Verdict(sensor, False, NAN, "no reading, or no change"))
+            decisions.append(StrategyDecision(sensor, False, NAN, "no reading, or no change"))
             continue
         stays = bool(percent <= LINEAR_RATIO * best + 1e-9)
         reason = f"{'within' if stays else 'above'} {LINEAR_RATIO:g} × the smallest, {best:.1f} %"
-        verdicts.append(Verdict(sensor, stays, float(percent), reason))
-    return StrategyTable("nearest linear", axis, "largest deviation from a line, % of range", tuple(verdicts))
+        decisions.append(StrategyDecision(sensor, stays, float(percent), reason))
+    return StrategyTable("nearest linear", axis, "largest deviation from a line, % of range", tuple(decisions))
 
 
-def _all_go(sensors: Sequence[str], reason: str) -> tuple[Verdict, ...]:
-    return tuple(Verdict(s, False, NAN, reason) for s in sensors)
+def _all_go(sensors: Sequence[str], reason: str) -> tuple[StrategyDecision, ...]:
+    return tuple(StrategyDecision(s, False, NAN, reason) for s in sensors)

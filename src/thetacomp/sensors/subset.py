@@ -92,8 +92,8 @@ def best_subset(
 
     `campaigns` holds one summary per campaign. `weights_um` gives for each target the µm of tool error that one of its
     units stands for (1 for an intercept in µm, the travel in m for a slope in µm/m); without it every target is
-    standardised. Of subsets that score alike the one listed first wins. A subset whose columns depend on each other, in
-    all campaigns or in those that train a fold, is never chosen.
+    standardised. Of subsets with equal scores the one listed first wins. A subset whose columns depend on each other,
+    in all campaigns or in those that train a fold, is never chosen.
 
     The search stops after `budget_s` seconds or `budget_nodes` nodes, or when `stop` says so; `bound` then says what
     may have been missed.
@@ -237,14 +237,14 @@ def _errors(campaigns: Sequence[Summary], weights: Floats) -> tuple[Floats, Floa
         return residual_rms, np.full(len(weights), nan), ""
     try:
         squares = held_out_squares(campaigns)
-    except AnalysisError:  # the sensors cannot be told apart without one of the campaigns
+    except AnalysisError:  # the sensors are collinear without one of the campaigns
         return residual_rms, np.full(len(weights), nan), ""
     per_row = squares @ weights / np.array([c.count for c in campaigns])
     return residual_rms, np.sqrt(squares.sum(axis=0) / total.count), campaigns[int(per_row.argmax())].name
 
 
 def _products(campaigns: Sequence[Summary], weights: Floats, score: Score) -> tuple[kernel.Products, float]:
-    """The kernels' products, and the weighted mean square of the targets that a score of 1 stands for."""
+    """The kernels' products, and the weighted mean square of the targets that a score of 1 means."""
     total = merge(campaigns)
     p, q = len(total.inputs), len(total.targets)
     squares = float(total.target_squares @ weights)

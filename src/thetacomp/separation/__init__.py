@@ -1,7 +1,7 @@
 """Separation of measured errors into geometry, slope and intercept (paper, section 2)."""
 
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, LinearityTest, Points
-from thetacomp.separation.forms import Separated, separate_all
+from thetacomp.separation.form_choice import Separated, separate_all
 from thetacomp.separation.separate import separate_campaign, separate_folder
 
 __all__ = [

@@ -13,7 +13,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats, Ints
 from thetacomp.campaign import Drift
-from thetacomp.separation.shares import between_nodes
+from thetacomp.separation.axis_shares import between_nodes
 
 LOOK_S = 120.0
 NODE_S = 600.0

@@ -1,4 +1,4 @@
-"""Gross readings of a drift record: far from all that the readings beside them say, and from the drift of the sweeps.
+"""Gross readings of a drift record: far from what their neighbours say, and from the drift of the sweeps.
 
 A reading is judged by what the two readings before and the two behind it say, held or carried on along their line, and
 in the joint form also by the sweeps. All that lies between these values is believed: the machine may have warmed up
@@ -13,13 +13,13 @@ import numpy as np
 
 from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.campaign import Campaign
-from thetacomp.separation.joint import OUTLIER_SIGMA
+from thetacomp.separation.sweep_fit import OUTLIER_SIGMA
 
 # µm or µrad. Below it a display's last digit decides; such a reading spoils no model of a machine tool.
 LEAST_SD = 1.0
-# The scatter of fewer errors of interpolation is chance; then the readings themselves cannot tell.
+# The scatter of fewer errors of interpolation is chance; then the readings themselves cannot decide.
 MIN_ERRORS = 6
-# With fewer looks their own scatter is not trusted alone; that of the sweeps' points stands beside it.
+# With fewer looks their own scatter is not trusted alone; that of the sweeps' points is used as well.
 FEW_LOOKS = 12
 MAD_TO_SD = 1.4826
 SURCHARGE = 6.0
@@ -37,7 +37,7 @@ def least_sd(campaign: Campaign, *, is_angle: bool = False) -> float:
 def gross_readings(t_s: Floats, error: Floats, at_mm: Mapping[str, Floats], least: float) -> Bools:
     """Gross readings (n, k) of a record `error` (n, k): each column on its own, among readings at one position.
 
-    Fewer than nine readings cannot tell, so none of them is gross. A missing value is never gross.
+    Fewer than nine readings cannot decide, so none of them is gross. A missing value is never gross.
     """
     gross = np.zeros(error.shape, dtype=bool)
     stood = np.column_stack([np.zeros(len(t_s)), *(np.round(p, 3) for p in at_mm.values())])
@@ -52,7 +52,7 @@ def gross_readings(t_s: Floats, error: Floats, at_mm: Mapping[str, Floats], leas
 def gross_looks(
     look_s: Floats, value: Floats, sweep_s: Floats, sweep_drift: Floats, expected: Floats, least: float, sweep_sd: float
 ) -> Bools:
-    """Gross looks (n,) of a drift record, by the looks beside them and by the drift of the sweeps.
+    """Gross looks (n,) of a drift record, by the neighbouring looks and by the drift of the sweeps.
 
     `expected` (n,) is the sweeps' drift at the looks; `sweep_s`, `sweep_drift` (m,) its nodes, in order of time and
     with the zero. The record may have a constant of its own. `sweep_sd` is the scatter of a point of the sweeps.
@@ -92,7 +92,7 @@ def gross_note(moments_s: Floats, by: str) -> str:
 
 
 def _gross_in_time(t_s: Floats, value: Floats, least: float) -> Bools:
-    """Gross readings (n,) by their neighbours in time alone, in turns: a gross reading may hide the one beside it.
+    """Gross readings (n,) by their neighbours in time alone, in turns: a gross reading may hide its neighbour.
 
     The worst one is kept out of the scatter by which all are judged: among few readings it would excuse itself.
     """
@@ -121,7 +121,7 @@ def _gross_in_time(t_s: Floats, value: Floats, least: float) -> Bools:
 def _carried_on(t_s: Floats, value: Floats) -> Floats:
     """Where heat that just sets in may have the first and the last reading, which nothing behind confirms, (2, n).
 
-    As fast as the record moved anywhere, or four times as fast as beside the reading.
+    As fast as the record moved anywhere, or four times as fast as next to the reading.
     """
     out = np.full((2, len(t_s)), np.nan)
     rate = np.abs(np.diff(value) / np.diff(t_s))

@@ -10,7 +10,7 @@ that a carries. The constant part of a rotation is a slope of the axes behind it
 
 The zero stays that of each axis' own cold sweeps: a resting axis stands on one side of its reversal, so the constants
 of the cold sweeps differ by a few µm, and one common zero would turn that into false drift. Their mean is the one
-constant of the geometry, and their spread is told.
+constant of the geometry, and their spread is reported.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from thetacomp.arrays import CARTESIAN, Floats
 from thetacomp.campaign import Campaign
 from thetacomp.machine import Machine
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of, turned_um
+from thetacomp.separation.axis_shares import AxisFit, axis_share_um, between_nodes, node_weights
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, Points
 from thetacomp.separation.drift_nodes import MIN_LOOKS, Looks, Nodes, join, looks_of, scatter
 from thetacomp.separation.drift_outliers import gross_looks, gross_note, gross_readings, least_sd
-from thetacomp.separation.joint import lever_m, state_weights
 from thetacomp.separation.reference import reference_time_s, refuse_reference_in_a_sweep
 from thetacomp.separation.separate import separate_axis
-from thetacomp.separation.shares import AxisFit, axis_share_um, between_nodes, node_weights
+from thetacomp.separation.sweep_fit import lever_m, state_weights
 
 ANGLES = ("A", "B", "C")
 AT_P0_MM = 1.0
@@ -222,7 +222,7 @@ def _with_looks(
     sweeps: Nodes,
     covariance: Floats,
 ) -> tuple[Nodes, tuple[str, ...]]:
-    """The drift of the sweeps joined with the drift record, whose gross readings are left out and told."""
+    """The drift of the sweeps joined with the drift record, whose gross readings are left out and reported."""
     looks = whole.looks
     if looks is None or not len(sweeps.t_s):
         return sweeps, ()

@@ -13,15 +13,15 @@ from thetacomp.campaign import Campaign, MachineFolder, Parameters, SweepPoints
 from thetacomp.cold_block import sweep_table
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine
+from thetacomp.separation.axis_shares import AxisFit
 from thetacomp.separation.component import ComponentSeparation, GeometryCurve, LinearityTest, Points
 from thetacomp.separation.drift_outliers import gross_note, gross_readings, least_sd
-from thetacomp.separation.joint import ComponentData, JointFit, ShapeChange, fit_component, shape_change
 from thetacomp.separation.reference import (
     drift_window,
     reference_time_s,
     refuse_reference_in_a_sweep,
 )
-from thetacomp.separation.shares import AxisFit
+from thetacomp.separation.sweep_fit import ComponentData, ShapeChange, SweepFit, fit_component, shape_change
 
 GRID_POINTS = 101
 # The shape test asks for strong evidence: with six components and eight states it is made often.
@@ -78,7 +78,7 @@ def separate_axis(
     cold = np.array([ends[number] <= reference_s + 1.0 for number in own])
     notes: list[str] = []
     if not cold.any():
-        # Better than refusing: the first sweep carries little heat; the user is told what it means.
+        # Better than refusing: the first sweep carries little heat; a note says what it means.
         cold[0] = True
         notes.append(
             f"no sweep of axis {axis.name} ended before the reference ({reference_s:.0f} s); its first sweep serves as"
@@ -230,8 +230,8 @@ def _component(
     return AxisFit(data, fit, separation)
 
 
-def _fit(data: ComponentData) -> tuple[JointFit, LinearityTest | None, tuple[str, ...]]:
-    """The joint fit and its test of shape. Where that fails, the geometry is that of the cold block alone.
+def _fit(data: ComponentData) -> tuple[SweepFit, LinearityTest | None, tuple[str, ...]]:
+    """The fit over all sweeps and its test of shape. Where that fails, the geometry is that of the cold block alone.
 
     Else the mean change of shape in the heated sweeps would count as geometry, and every error before and after look
     too small.
@@ -257,7 +257,7 @@ def _fit(data: ComponentData) -> tuple[JointFit, LinearityTest | None, tuple[str
     return cold, linearity, (note,)
 
 
-def _geometry_curves(data: ComponentData, fit: JointFit) -> tuple[GeometryCurve, ...]:
+def _geometry_curves(data: ComponentData, fit: SweepFit) -> tuple[GeometryCurve, ...]:
     grid = np.linspace(data.position_mm.min(), data.position_mm.max(), GRID_POINTS)
     basis = fit.curve.basis(grid)
     curves = []
@@ -278,7 +278,7 @@ def _reversal_um(curves: tuple[GeometryCurve, ...]) -> float | None:
     return float(np.mean(by_direction[1].value_um - by_direction[-1].value_um))
 
 
-def _linearity(fit: JointFit, shape: ShapeChange) -> LinearityTest | None:
+def _linearity(fit: SweepFit, shape: ShapeChange) -> LinearityTest | None:
     """F-test of a change of shape in the heated sweeps against the scatter of the points."""
     freedom = fit.dof - shape.terms
     if freedom < 5:

@@ -14,7 +14,7 @@ SHORTEST_HISTORY_MIN = 30.0
 
 
 def moving(name: str) -> bool:
-    """Whether a column of duty.csv tells motion: speeds in rpm, feeds in mm/min."""
+    """Whether a column of duty.csv describes motion: speeds in rpm, feeds in mm/min."""
     return name.endswith(("_rpm", "_mm_min"))
 
 
@@ -30,7 +30,7 @@ def speeds(campaign: Campaign, *endings: str) -> tuple[Floats, Floats] | None:
 
 
 def in_force(t_s: Floats, start_s: float, end_s: float) -> slice:
-    """Samples that tell about the time from `start_s` to `end_s`: each holds until the next one."""
+    """Samples that hold during the time from `start_s` to `end_s`: each holds until the next one."""
     first = max(int(np.searchsorted(t_s, start_s, side="right")) - 1, 0)
     return slice(first, int(np.searchsorted(t_s, end_s)))
 
@@ -56,7 +56,7 @@ def other_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
 
 
 def all_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
-    """What ran during an axis test, as far as duty.csv tells."""
+    """What ran during an axis test, as far as duty.csv says."""
     if campaign.duty is None or not any(moving(name) for name in campaign.duty.columns):
         return ["duty.csv does not show what moved between the visits: the heat cannot be attributed to this axis."]
     inside = in_force(campaign.duty.t_s, start_s, end_s)

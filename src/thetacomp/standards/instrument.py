@@ -22,7 +22,7 @@ class Instrument:
         return cls(settings.instrument, settings.instrument_u_um, settings.instrument_u_um_per_m)
 
     def difference_u_um(self, apart_mm: float = 0.0) -> float | None:
-        """Expanded uncertainty of the difference of two readings that are `apart_mm` apart, in µm.
+        """Expanded uncertainty of the difference of two readings at a distance of `apart_mm`, in µm.
 
         Root of the sum of squares of both readings (GUM, ISO/TR 230-9), the near one at the instrument, the far one
         `apart_mm` away. None where `campaign.toml` states no `instrument_u_um`. The mean of several runs is not
@@ -33,7 +33,7 @@ class Instrument:
         return math.hypot(self.u_um, self.u_um + (self.u_um_per_m or 0.0) * apart_mm / 1000.0)
 
     @property
-    def words(self) -> str:
+    def statement(self) -> str:
         """The instrument and its uncertainty in words."""
         if self.u_um is None:
             return "not stated: campaign.toml has no instrument_u_um, so no uncertainty is stated with the results"

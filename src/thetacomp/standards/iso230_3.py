@@ -61,7 +61,7 @@ class Distortion:
 
 @dataclass(frozen=True)
 class ThermalTest:
-    """One evaluated test: when it ran, its figures, its curves, what must be said, what the data do not tell.
+    """One evaluated test: when it ran, its figures, its curves, remarks, and what the data do not show.
 
     `start_s` to `end_s` is the period of the figures; the series may go on beyond it.
     """
@@ -357,7 +357,7 @@ def _not_measured(data: Drift | SweepPoints, file: str = "drift.csv") -> tuple[s
 
 
 def _settling(series: Sequence[Series], start_s: float, end_s: float) -> list[str]:
-    """How much the last hour still moves, beside the first one."""
+    """How much the last hour still moves, compared with the first."""
     if end_s - start_s < 2 * FIRST_S:
         return []
     parts = []

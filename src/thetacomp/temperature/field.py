@@ -28,7 +28,7 @@ def sensor_rises(folder: MachineFolder) -> tuple[SensorRise, ...]:
     """Start, maximum, rise, steepest rate and lag of every sensor that was read, campaign by campaign.
 
     The start is the median of the samples up to the campaign's reference, or of the first minute where no reference
-    is stated. A figure that cannot be told is NaN and `remark` says why.
+    is stated. A figure that cannot be computed is NaN and `remark` says why.
     """
     return tuple(rise for campaign in folder.campaigns for rise in _campaign_rises(folder.machine, campaign))
 
@@ -171,7 +171,7 @@ def _source_of(
 
 
 def _lag_s(t_s: Floats, source: Floats, sensor: Floats, same: bool, rises_K: Floats) -> tuple[float, str]:
-    """Lag of a sensor behind the one at its source, and a remark where it cannot be told well."""
+    """Lag of a sensor behind the one at its source, and a remark where it is poorly determined."""
     if same:
         return 0.0, ""
     if not np.min(rises_K) >= SMALL_RISE_K:

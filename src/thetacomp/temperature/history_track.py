@@ -9,7 +9,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign
-from thetacomp.model.filters import SPEED, HistoryLayout, recorded_inputs
+from thetacomp.model.filters import SPEED, InputLayout, recorded_inputs
 from thetacomp.model.temperatures import between_samples
 
 
@@ -30,7 +30,7 @@ class HistoryTrack:
         return between_samples(self.t_s, self.inputs, t_s)
 
 
-def history_layout(campaigns: Sequence[Campaign]) -> HistoryLayout | None:
+def history_layout(campaigns: Sequence[Campaign]) -> InputLayout | None:
     """The inputs that all campaigns can give: sensors read in each, the speed where each has it. None without sensors.
 
     A sensor with a missing sample at the start of a campaign is left out: its filter would have no state to start from.
@@ -42,12 +42,12 @@ def history_layout(campaigns: Sequence[Campaign]) -> HistoryLayout | None:
     if not sensors:
         return None
     with_speed = all(c.duty is not None and SPEED in c.duty.columns for c in campaigns)
-    return HistoryLayout(
+    return InputLayout(
         sensors=sensors, base_degC=float(np.mean(starts[0][known])), speed_powers=(1, 2) if with_speed else ()
     )
 
 
-def history_track(campaign: Campaign, layout: HistoryLayout, zero_t_s: Floats) -> HistoryTrack:
+def history_track(campaign: Campaign, layout: InputLayout, zero_t_s: Floats) -> HistoryTrack:
     """Run the filters over a campaign; at rest on its first sample or on that of what came before."""
     t_s, inputs = recorded_inputs(layout, *campaign.recording())
     own = t_s >= campaign.temperatures.t_s[0]

@@ -1,4 +1,4 @@
-"""Rules of initial sensor placement (paper, section 1.1), told in words."""
+"""Rules of initial sensor placement (paper, section 1.1), as sentences."""
 
 from __future__ import annotations
 

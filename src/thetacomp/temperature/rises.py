@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SensorRise:
-    """One sensor in one campaign (paper, section 1.2). NaN where a figure cannot be told, `remark` says why.
+    """One sensor in one campaign (paper, section 1.2). NaN where a figure cannot be computed, `remark` says why.
 
     `rise_K` is maximum less start; `rate_K_per_h` the steepest rise over a window; `lag_s` the delay behind the
     sensor at its heat source `source` ("" where none is known).
@@ -27,7 +27,7 @@ class SensorRise:
 
 @dataclass(frozen=True)
 class LayoutCheck:
-    """One rule of initial sensor placement (paper, section 1.1), told in words."""
+    """One rule of initial sensor placement (paper, section 1.1), as a sentence."""
 
     rule: str
     passed: bool

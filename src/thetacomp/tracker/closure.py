@@ -9,7 +9,7 @@ import numpy as np
 from thetacomp.arrays import Floats
 from thetacomp.campaign import StationClosure
 from thetacomp.errors import AnalysisError
-from thetacomp.tracker.finding import Finding
+from thetacomp.tracker.doubt import TrackerDoubt
 from thetacomp.tracker.foundation import FEWEST_TARGETS, Foundation, Network, Round, adjust, is_complete
 from thetacomp.tracker.rigid import design
 
@@ -99,12 +99,12 @@ def closures(
 
 def without_moved_targets(
     readings: Foundation, network: Network, covariance_um2: Floats, cold_share: Floats
-) -> tuple[Network, list[Finding]]:
+) -> tuple[Network, list[TrackerDoubt]]:
     """The network without targets that moved against the others, found one by one, and what was found.
 
-    The target goes without which the rest closes best. Where that cannot be told the network stays as it is.
+    The target is removed without which the rest closes best. Where that is undecided the network stays as it is.
     """
-    found: list[Finding] = []
+    found: list[TrackerDoubt] = []
     while network.chi2.sum() > chi2_quantile(float(network.freedom.sum()), Z_9999):
         names = sorted({readings.target[i] for item in network.rounds for i in item.rows.tolist()})
         trials = {name: _without(name, readings, network.rounds, covariance_um2, cold_share) for name in names}
@@ -146,7 +146,7 @@ def _without(
         return None
 
 
-def _moved(name: str, readings: Foundation, others: Network) -> Finding:
+def _moved(name: str, readings: Foundation, others: Network) -> TrackerDoubt:
     """What the target did, from the poses that the others give: one step that stays, or one wrong reading."""
     places, times = _places(name, readings, others)
     count = len(places)
@@ -159,7 +159,7 @@ def _moved(name: str, readings: Foundation, others: Network) -> Finding:
             best = max(best, (size**2 * len(part) * len(rest) / count, size, k, stays))
     _, size, k, stays = best
     did = f"moved by {size:.0f} µm against the others" if stays else f"misses its place by {size:.0f} µm"
-    return Finding(
+    return TrackerDoubt(
         "foundation-moved",
         f"the foundation target {name} {did} {'from' if stays else 'at'} {times[k] / 3600:.2f} h"
         f"{' on' if stays else ''}. It was left out of all ties.",
@@ -178,8 +178,8 @@ def _places(name: str, readings: Foundation, others: Network) -> tuple[Floats, F
     return np.array(places), np.array(times)
 
 
-def _only_three(names: list[str]) -> Finding:
-    return Finding(
+def _only_three(names: list[str]) -> TrackerDoubt:
+    return TrackerDoubt(
         "foundation-three",
         f"there are only three foundation targets ({', '.join(names)}): one that sinks out of their plane looks like a"
         " tracker that tilts, and no closure shows it.",
@@ -202,14 +202,14 @@ def round_scales(readings: Foundation, network: Network) -> tuple[Floats, Floats
     return scale, se
 
 
-def scale_drift(readings: Foundation, network: Network) -> list[Finding]:
+def scale_drift(readings: Foundation, network: Network) -> list[TrackerDoubt]:
     """A scale that changes over the day: the laser's air, or a floor that expands."""
     scale, se = round_scales(readings, network)
     worst = int(np.argmax(np.abs(scale) / se))
     if abs(scale[worst]) < max(SCALE_SIGMA * se[worst], SMALLEST_SCALE_UM_PER_M):
         return []
     return [
-        Finding(
+        TrackerDoubt(
             "foundation-scale",
             f"the foundation measures {scale[worst]:+.1f} ± {se[worst]:.1f} µm/m (standard error) longer at"
             f" {network.rounds[worst].t_s / 3600:.2f} h than in the mean of the day. This is not applied.",
@@ -218,10 +218,10 @@ def scale_drift(readings: Foundation, network: Network) -> list[Finding]:
     ]
 
 
-def _undecided(names: list[str], readings: Foundation, network: Network) -> Finding:
+def _undecided(names: list[str], readings: Foundation, network: Network) -> TrackerDoubt:
     size = np.linalg.norm(network.residual_um, axis=1)
     worst = int(np.nanargmax(size))
-    return Finding(
+    return TrackerDoubt(
         "foundation-moved",
         f"the foundation targets {', '.join(names)} moved against each other: {size[worst]:.0f} µm remain at"
         f" {readings.target[worst]} ({readings.t_s[worst] / 3600:.2f} h). It is not clear which of them moved,"
@@ -230,9 +230,9 @@ def _undecided(names: list[str], readings: Foundation, network: Network) -> Find
     )
 
 
-def _scattered(network: Network) -> Finding:
+def _scattered(network: Network) -> TrackerDoubt:
     ratio = float(np.sqrt(network.chi2.sum() / network.freedom.sum()))
-    return Finding(
+    return TrackerDoubt(
         "foundation-scatter",
         f"the foundation targets scatter {ratio:.1f} times as much as [tracker] in campaign.toml states; no single"
         " target explains it.",

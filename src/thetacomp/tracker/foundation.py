@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Bools, Floats, Ints
-from thetacomp.tracker.finding import FrameError
+from thetacomp.tracker.doubt import FrameError
 from thetacomp.tracker.rigid import Rigid, best_fit, design, line_direction, turned
 
 ROUND_GAP_S = 600.0

@@ -18,8 +18,9 @@ from thetacomp.tracker.closure import (
     tracker_motions,
     without_moved_targets,
 )
-from thetacomp.tracker.finding import Finding, FrameError
+from thetacomp.tracker.doubt import FrameError, TrackerDoubt
 from thetacomp.tracker.foundation import Foundation, Network, adjust, find_rounds
+from thetacomp.tracker.notes import describe, scale_doubt
 from thetacomp.tracker.rigid import (
     RigidFit,
     best_fit,
@@ -31,15 +32,14 @@ from thetacomp.tracker.rigid import (
     turned,
 )
 from thetacomp.tracker.ties import (
-    Shares,
+    RoundWeights,
     refuse_moved_station,
-    shares,
+    round_weights,
     tied_points,
     unbracketed,
     uneven_steps,
     usable_rounds,
 )
-from thetacomp.tracker.words import describe, scale_finding
 
 MISFIT_UM = 5000.0
 
@@ -67,7 +67,7 @@ def to_machine_frame(
     foundation: Foundation,
     instrument: TrackerSettings,
     reference_s: float | None = None,
-) -> tuple[SweepPoints, TrackerTie, tuple[Finding, ...]]:
+) -> tuple[SweepPoints, TrackerTie, tuple[TrackerDoubt, ...]]:
     """Errors of the machine at `points`, which were measured at `xyz_mm` (n, 3) in the frame of their station.
 
     Returns the points with `error_um`, `sd_um`, `noise_um` and `tie_covariance`, what was found about frame and
@@ -113,8 +113,8 @@ def to_machine_frame(
     )
     left_out = int((~fit.used).sum())
     notes = describe(report, _axes(points, cold), left_out)
-    findings = (*tie.findings, *scale_finding(*scale))
-    return result, replace(report, notes=notes, doubts=tuple(item.message for item in findings)), findings
+    doubts = (*tie.doubts, *scale_doubt(*scale))
+    return result, replace(report, notes=notes, doubts=tuple(item.message for item in doubts)), doubts
 
 
 def _cold_points(points: SweepPoints, reference_s: float | None) -> Bools:
@@ -162,11 +162,11 @@ class _Tie:
     xyz_mm: Floats
     rotation: Floats
     network: Network | None
-    share: Shares | None
+    share: RoundWeights | None
     covariance: Floats
     steps: dict[int, Floats]
     excess: dict[str, float]
-    findings: tuple[Finding, ...]
+    doubts: tuple[TrackerDoubt, ...]
 
 
 def _tie(
@@ -181,7 +181,7 @@ def _tie(
 ) -> _Tie:
     used = list(dict.fromkeys(name for name, good in zip(station, measured, strict=True) if good))
     if not len(foundation.t_s) and len(used) == 1:
-        alone = Finding(
+        alone = TrackerDoubt(
             "no-foundation",
             "there are no foundation targets (rows without an axis): a tracker that sinks or turns during the day"
             " cannot be distinguished from a machine that drifts, and no interval includes it.",
@@ -190,8 +190,8 @@ def _tie(
         eye = np.broadcast_to(np.eye(3), (len(xyz_mm), 3, 3))
         return _Tie(xyz_mm, eye, None, None, np.zeros((0, 0)), {}, {}, (alone,))
     rounds = find_rounds(foundation, t_s, station)
-    rounds, findings = usable_rounds(foundation, rounds, used, _rough_rotations(station, xyz_mm, nominal, cold))
-    share = shares(rounds, t_s, station)
+    rounds, doubts = usable_rounds(foundation, rounds, used, _rough_rotations(station, xyz_mm, nominal, cold))
+    share = round_weights(rounds, t_s, station)
     cold_share = share.weight[cold].mean(axis=0)
     own_um2 = point_covariance_um2(foundation.xyz_mm, instrument)
     network = adjust(foundation, rounds, own_um2, cold_share)
@@ -201,8 +201,8 @@ def _tie(
     covariance = inflated(network, excess)
     steps, uneven = uneven_steps(network, covariance, share)
     tied, rotation = tied_points(network, share, xyz_mm)
-    findings += moved + uneven + scale_drift(foundation, network) + unbracketed(rounds, t_s, station)
-    return _Tie(tied, rotation, network, share, covariance, steps, excess, tuple(findings))
+    doubts += moved + uneven + scale_drift(foundation, network) + unbracketed(rounds, t_s, station)
+    return _Tie(tied, rotation, network, share, covariance, steps, excess, tuple(doubts))
 
 
 def _rough_rotations(station: tuple[str, ...], xyz_mm: Floats, nominal: Floats, cold: Bools) -> dict[str, Floats]:

@@ -169,7 +169,7 @@ def fit_rigid(source_mm: Floats, target_mm: Floats, covariance_um2: Floats) -> R
 def scale_um_per_m(fit: RigidFit, target_mm: Floats) -> tuple[float, float]:
     """How much longer than the target the source is, in µm/m, with its standard error from the scatter of the points.
 
-    One more unknown beside the rigid motion; it is estimated to be told, and never applied.
+    One more unknown beside the rigid motion; it is estimated for the report, and never applied.
     """
     lever_m = (target_mm - fit.centre_mm) / 1000.0
     jacobian = np.concatenate([design(target_mm, fit.centre_mm), lever_m[:, :, None]], axis=2)

@@ -9,7 +9,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats, Ints
 from thetacomp.tracker.closure import Z_9999, chi2_quantile
-from thetacomp.tracker.finding import Finding, FrameError
+from thetacomp.tracker.doubt import FrameError, TrackerDoubt
 from thetacomp.tracker.foundation import Foundation, Network, Round, is_complete
 from thetacomp.tracker.rigid import design, line_direction, rotation_matrix
 
@@ -19,8 +19,8 @@ UNBRACKETED_S = 3600.0
 
 def usable_rounds(
     readings: Foundation, rounds: tuple[Round, ...], stations: Sequence[str], to_machine: dict[str, Floats]
-) -> tuple[tuple[Round, ...], list[Finding]]:
-    """Rounds that fix all six motions; the others are told. Raises FrameError where a station has none.
+) -> tuple[tuple[Round, ...], list[TrackerDoubt]]:
+    """Rounds that fix all six motions; the others are reported. Raises FrameError where a station has none.
 
     `to_machine` holds, for stations that took part in the cold block, the rough rotation into machine axes.
     """
@@ -30,7 +30,7 @@ def usable_rounds(
             own = [item for item in rounds if item.station == station]
             raise _untied(readings, own, station, to_machine.get(station))
     found = [
-        Finding(
+        TrackerDoubt(
             "foundation-round",
             f"the round of foundation targets from station {item.station} at {item.t_s / 3600:.2f} h has only"
             f" {_named(readings, item)}; it is not used, the rounds before and after it serve instead.",
@@ -86,7 +86,7 @@ def in_words(direction: Floats, rotation: Floats | None = None) -> str:
 
 
 @dataclass(frozen=True)
-class Shares:
+class RoundWeights:
     """Weights (n, R) of the rounds at n machine points, and the fraction (n,) of the way between the two rounds."""
 
     weight: Floats
@@ -95,7 +95,7 @@ class Shares:
     fraction: Floats
 
 
-def shares(rounds: Sequence[Round], t_s: Floats, station: Sequence[str]) -> Shares:
+def round_weights(rounds: Sequence[Round], t_s: Floats, station: Sequence[str]) -> RoundWeights:
     """Each point hangs between the last round before it and the next one after it, straight in time."""
     weight = np.zeros((len(t_s), len(rounds)))
     before, after = np.zeros(len(t_s), dtype=np.int64), np.zeros(len(t_s), dtype=np.int64)
@@ -114,10 +114,10 @@ def shares(rounds: Sequence[Round], t_s: Floats, station: Sequence[str]) -> Shar
         before[points], after[points], fraction[points] = own[low], own[high], share
         weight[points, own[low]] += 1.0 - share
         weight[points, own[high]] += share
-    return Shares(weight, before, after, fraction)
+    return RoundWeights(weight, before, after, fraction)
 
 
-def tied_points(network: Network, share: Shares, xyz_mm: Floats) -> tuple[Floats, Floats]:
+def tied_points(network: Network, share: RoundWeights, xyz_mm: Floats) -> tuple[Floats, Floats]:
     """Points (n, 3) in foundation coordinates, and the rotation (n, 3, 3) that brought each there."""
     first = _first_rounds(network.rounds)
     tied, rotation = np.full_like(xyz_mm, np.nan), np.zeros((len(xyz_mm), 3, 3))
@@ -177,13 +177,15 @@ def _neighbours(rounds: Sequence[Round]) -> list[tuple[int, int]]:
     return pairs
 
 
-def uneven_steps(network: Network, covariance: Floats, share: Shares) -> tuple[dict[int, Floats], list[Finding]]:
+def uneven_steps(
+    network: Network, covariance: Floats, share: RoundWeights
+) -> tuple[dict[int, Floats], list[TrackerDoubt]]:
     """Steps (6,) between two rounds with machine points in between that do not fit the usual rate of the station.
 
     By the number of the later round. A straight line in time is then a poor tie.
     """
     steps: dict[int, Floats] = {}
-    found: list[Finding] = []
+    found: list[TrackerDoubt] = []
     pairs = _neighbours(network.rounds)
     motions = _motions(network)
     for station in dict.fromkeys(item.station for item in network.rounds):
@@ -207,10 +209,10 @@ def uneven_steps(network: Network, covariance: Floats, share: Shares) -> tuple[d
     return steps, found
 
 
-def _uneven(network: Network, a: int, b: int, odd: Floats) -> Finding:
+def _uneven(network: Network, a: int, b: int, odd: Floats) -> TrackerDoubt:
     origin = network.poses[a].translation_mm
     size = float(np.linalg.norm(design(origin[None], network.centre_mm)[0] @ odd))
-    return Finding(
+    return TrackerDoubt(
         "station-step",
         f"station {network.rounds[a].station} moved by {size:.0f} µm more than at its usual rate between"
         f" {network.rounds[a].t_s / 3600:.2f} h and {network.rounds[b].t_s / 3600:.2f} h; sweeps in that time are tied"
@@ -219,7 +221,7 @@ def _uneven(network: Network, a: int, b: int, odd: Floats) -> Finding:
     )
 
 
-def unbracketed(rounds: Sequence[Round], t_s: Floats, station: Sequence[str]) -> list[Finding]:
+def unbracketed(rounds: Sequence[Round], t_s: Floats, station: Sequence[str]) -> list[TrackerDoubt]:
     """Sweeps that begin long before the first round of their station, or end long after the last one."""
     found = []
     for name in dict.fromkeys(item.station for item in rounds):
@@ -231,7 +233,7 @@ def unbracketed(rounds: Sequence[Round], t_s: Floats, station: Sequence[str]) ->
         for gap_s, which, moment in ((early, "before the first", own.min()), (late, "after the last", own.max())):
             if gap_s > UNBRACKETED_S:
                 found.append(
-                    Finding(
+                    TrackerDoubt(
                         "foundation-not-bracketed",
                         f"the machine point of station {name} at {moment / 3600:.2f} h was measured"
                         f" {gap_s / 3600:.1f} h {which} round of foundation targets: a motion of the tracker in that"

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from thetacomp.model.document import AxisLaw, ModelDocument
-from thetacomp.validation.rows import (
+from thetacomp.validation.outcome import (
     CLOCK,
     DEFAULT,
     KEY_POINTS,

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.axis_states import AxisStates, Samples
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import AnyProcedure, Predictor
-from thetacomp.states import AxisStates, Samples
 
 
 def with_drift(

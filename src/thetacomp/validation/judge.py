@@ -1,4 +1,4 @@
-"""What trained models are worth: held out beside every baseline, against chance, and in a table of checks."""
+"""What trained models are worth: held out with every baseline, against chance, and in a table of checks."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.fitting.key_point_law import AnyProcedure, all_sensors, clock, training_mean
 from thetacomp.fitting.procedures import key_point_procedure
 from thetacomp.fitting.training import Procedures, Trained
 from thetacomp.folds import Fold, forward_in_time, main_split, training_states
 from thetacomp.model.document import ModelDocument
 from thetacomp.preparation import Prepared, Progress
-from thetacomp.states import AxisStates
 from thetacomp.validation.acceptance import (
     MAX_CLOCK_RATIO,
     acceptance_checks,
@@ -22,8 +22,7 @@ from thetacomp.validation.acceptance import (
     in_words,
 )
 from thetacomp.validation.joint_view import with_drift
-from thetacomp.validation.permutation import permutation_test
-from thetacomp.validation.rows import (
+from thetacomp.validation.outcome import (
     ALL_SENSORS,
     CLOCK,
     DEFAULT,
@@ -35,6 +34,7 @@ from thetacomp.validation.rows import (
     PermutationTest,
     ValidationRow,
 )
+from thetacomp.validation.permutation import permutation_test
 from thetacomp.validation.validate import (
     ALL_CAMPAIGNS,
     AxisTask,
@@ -69,7 +69,7 @@ class Judged:
 
 
 def judge(prepared: Prepared, trained: Trained, progress: Progress = lambda message: None) -> Judged:
-    """Repeat the whole training inside every fold, with each baseline beside it, and check what must hold."""
+    """Repeat the whole training inside every fold, for the model and each baseline, and make the acceptance checks."""
     progress("validating on held-out data")
     residuals: list[Residuals] = []
     rows: list[ValidationRow] = []

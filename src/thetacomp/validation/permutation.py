@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import Procedure, input_columns
-from thetacomp.states import AxisStates
-from thetacomp.validation.rows import PermutationTest
+from thetacomp.validation.outcome import PermutationTest
 
 SHUFFLES = 99
 # Beyond this many states neighbours are nearly copies; a thinned series says the same in less time.

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import MachineFolder
 from thetacomp.fitting.key_point_law import AxisModel
 from thetacomp.fitting.training import train
 from thetacomp.preparation import prepare
-from thetacomp.states import AxisStates
 
 # A correlation below this leaves the coefficients so uncertain that a comparison proves nothing.
 MIN_CORRELATION = 0.9
@@ -35,7 +35,7 @@ class PublishedEquation:
 
 @dataclass(frozen=True)
 class CoefficientComparison:
-    """One coefficient in print and recomputed. `verdict`: agrees, reversed, differs or weak (|r| at most 0.9)."""
+    """One coefficient in print and recomputed. `outcome`: agrees, reversed, differs or weak (|r| at most 0.9)."""
 
     equation: int
     component: str
@@ -44,7 +44,7 @@ class CoefficientComparison:
     printed: float
     recomputed: float
     correlation: float
-    verdict: str
+    outcome: str
 
 
 def read_published_equations(path: Path) -> tuple[PublishedEquation, ...]:
@@ -114,13 +114,13 @@ def _compare(equation: PublishedEquation, states: AxisStates, model: AxisModel) 
         ):
             rows.append(
                 CoefficientComparison(
-                    equation.number, equation.component, name, own_unit, printed, own, r, _verdict(printed, own, r)
+                    equation.number, equation.component, name, own_unit, printed, own, r, _outcome(printed, own, r)
                 )
             )
     return rows
 
 
-def _verdict(printed: float, own: float, r: float) -> str:
+def _outcome(printed: float, own: float, r: float) -> str:
     if abs(r) <= MIN_CORRELATION:
         return "weak"
     if abs(own - printed) <= TOLERANCE * abs(printed):

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Bools, Floats, Ints
+from thetacomp.axis_states import AxisStates, Samples
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import AnyProcedure, Predictor
 from thetacomp.folds import Fold, training_states
-from thetacomp.states import AxisStates, Samples
-from thetacomp.validation.rows import NOTHING, HeldOutStates, ValidationRow
+from thetacomp.validation.outcome import NOTHING, HeldOutStates, ValidationRow
 
 ALL_CAMPAIGNS = "all"
 

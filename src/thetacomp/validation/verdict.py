@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thetacomp.model.document import AxisLaw, ModelDocument
-from thetacomp.validation.rows import DEFAULT, KEY_POINTS, ValidationRow
+from thetacomp.validation.outcome import DEFAULT, KEY_POINTS, ValidationRow
 from thetacomp.validation.validate import ALL_CAMPAIGNS
 
 

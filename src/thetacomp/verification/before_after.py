@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from thetacomp.arrays import Floats
-from thetacomp.verification.findings import STATISTICS, BeforeAfter, StateLine, Statistic
+from thetacomp.verification.applied_share import LIMITS_PERCENT, draws_for, enough_states, fit_run, repeated_runs
+from thetacomp.verification.outcome import STATISTICS, BeforeAfter, StateLine, Statistic
 from thetacomp.verification.runs import RunPoints
-from thetacomp.verification.share import LIMITS_PERCENT, draws_for, enough_states, fit_run, repeated_runs
 
 NAN = float("nan")
 LEAST_UM = 1e-6
@@ -30,7 +30,7 @@ def over_states(value_um: Floats, points: RunPoints) -> Floats:
 def before_after(
     component: str, off: RunPoints, on: RunPoints, measure: Measure, rng: np.random.Generator
 ) -> BeforeAfter:
-    """Maximum, p95 and RMS of one error off and on, as measured and at like heat, with 95 % bounds."""
+    """Maximum, p95 and RMS of one error off and on, as measured and at the same heat, with 95 % bounds."""
     observed = [_figures(measure(run.value_um, run)) for run in (off, on)]
     known = off.explained and on.explained
     ratio = np.full(len(STATISTICS), NAN)
@@ -59,7 +59,7 @@ def before_after(
 
 
 def state_line(component: str, points: RunPoints) -> StateLine:
-    """The largest |error| of every state beside the largest that its temperatures let expect."""
+    """The largest |error| of every state, and the largest expected from its temperatures."""
     return StateLine(
         component, points.t_s, over_states(points.value_um, points), over_states(points.expected_um, points)
     )

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from thetacomp.machine import Machine
-from thetacomp.verification.findings import (
+from thetacomp.verification.applied_share import ALL
+from thetacomp.verification.outcome import (
     BeforeAfter,
     Cause,
     CauseKind,
@@ -18,7 +19,6 @@ from thetacomp.verification.findings import (
     ShareKind,
     listed,
 )
-from thetacomp.verification.share import ALL
 
 # As in the acceptance of a model: at least half of the error is gone.
 MAX_RESIDUAL_RATIO = 0.5
@@ -210,7 +210,7 @@ def _proven(row: BeforeAfter) -> Check:
 
 
 def _judged(shares: Sequence[Share]) -> list[Share]:
-    """One entry a component; its intercept and slope apart where they went different ways."""
+    """One entry a component; its intercept and slope separately where they differ."""
     out: list[Share] = []
     for component in dict.fromkeys(share.component for share in shares):
         own = [share for share in shares if share.component == component and share.material]
@@ -287,7 +287,7 @@ def _share_causes(shares: Sequence[Share], machine: Machine) -> list[Cause]:
     }
     changed = any(not_followed(share) for share in judged)
     for share in judged:
-        # Beside components that no share explains, an odd share of another one has the same cause.
+        # Where no share explains some components, an odd share of another one has the same cause.
         if not_followed(share) or (changed and share.kind in ("partly", "too strong")):
             kinds["relation"].append(share)
         elif share.kind != "applied" and share.kind != "unclear":
@@ -329,7 +329,7 @@ def _figures(kind: str, found: Sequence[Share]) -> str:
 
 
 def _who(found: Sequence[Share], judged: Sequence[Share], machine: Machine) -> str:
-    """The components, told as a whole or as a whole axis where that is what they are."""
+    """The components, named as a whole or as a whole axis where they are complete."""
     if len(found) > 1 and len(found) == len(judged):
         return f"all {len(found)} components that can be judged"
     names = [_label(share) for share in found]

@@ -1,10 +1,10 @@
-"""Does no harm, by position: where and when the residual is larger than the uncompensated error at like heat."""
+"""Does no harm, by position: where and when the residual is larger than the uncompensated error at the same heat."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from thetacomp.verification.findings import HarmMap
+from thetacomp.verification.outcome import HarmMap
 from thetacomp.verification.runs import RunPoints
 
 MOST_POSITIONS = 40
@@ -13,7 +13,7 @@ MOST_POSITIONS = 40
 def harm_map(component: str, off: RunPoints, on: RunPoints, limit_um: float) -> HarmMap | None:
     """Harm of one component in every sweep and position of the run with compensation on, approaches averaged.
 
-    The uncompensated error at like heat is the expected one, times what the run with compensation off shows of it.
+    The uncompensated error at the same heat is the expected one, times what the run with compensation off shows of it.
     None where no error can be expected from the temperatures.
     """
     if not (off.explained and on.explained):

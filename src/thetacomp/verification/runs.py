@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.separation import ComponentSeparation
-from thetacomp.states import AxisStates
-from thetacomp.verification.findings import RunFacts
+from thetacomp.verification.outcome import RunFacts
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.model.document import ModelDocument
 from thetacomp.screening.campaigns import screened
 from thetacomp.separation import ComponentSeparation, separate_campaign
-from thetacomp.states import axis_states
+from thetacomp.verification.applied_share import shares
 from thetacomp.verification.before_after import before_after, over_points, over_states, state_line
 from thetacomp.verification.diagnosis import causes, checks, remarks
-from thetacomp.verification.findings import HarmMap, Share, StateLine, Verification
+from thetacomp.verification.expected_error import expected_from_fit, expected_from_model
 from thetacomp.verification.harm import harm_map
-from thetacomp.verification.lines import squareness, straightness
-from thetacomp.verification.pattern import fitted_pattern, model_pattern
+from thetacomp.verification.outcome import HarmMap, Share, StateLine, VerificationResult
 from thetacomp.verification.runs import (
     RunPoints,
     chosen,
@@ -35,7 +35,7 @@ from thetacomp.verification.runs import (
     without_expectation,
     zero_scatter,
 )
-from thetacomp.verification.share import shares
+from thetacomp.verification.straightness import squareness, straightness
 
 SEED = 20120951
 # An error below this share of the largest one is too small to judge its sign.
@@ -53,7 +53,7 @@ def verify_folder(
     on: Sequence[str],
     model: ModelDocument | None = None,
     progress: Progress = lambda message: None,
-) -> Verification:
+) -> VerificationResult:
     """Compare campaigns measured with compensation off with others measured with it on.
 
     The expected uncompensated error comes from `model`, or is fitted to the campaigns of `off`. Raises AnalysisError
@@ -91,7 +91,7 @@ def verify_folder(
     model_mode = model.training.mode if model is not None else None
     checked = checks(fact_off, fact_on, rows, found_shares, maps, ratio, model_mode)
     found_causes = causes(checked, fact_off, fact_on, found_shares, folder.machine, model_mode)
-    return Verification(
+    return VerificationResult(
         machine=folder.machine,
         off=fact_off,
         on=fact_on,
@@ -137,9 +137,9 @@ def _pairs(
         )
     for states in axis_states(folder, [s for s in separations if s.component in common], [*off, *on]):
         patterns, told = (
-            model_pattern(model, folder, states, separations)
+            expected_from_model(model, folder, states, separations)
             if model is not None
-            else fitted_pattern(folder, states, off)
+            else expected_from_fit(folder, states, off)
         )
         notes += told
         for k, component in enumerate(states.components):

@@ -1,4 +1,4 @@
-"""The clock as a rival: what hours alone tell of the error of the tool, no thermometer."""
+"""The clock as a baseline: the error of the tool predicted from elapsed time alone, no thermometer."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.axis_states import AxisStates, Samples
 from thetacomp.fitting.key_point_law import clock
-from thetacomp.states import AxisStates, Samples
 
 
 def clock_error_um(trained_on: Sequence[AxisStates], hours: Floats, positions_mm: Mapping[str, Floats]) -> Floats:

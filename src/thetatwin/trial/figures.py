@@ -11,7 +11,7 @@ from matplotlib.ticker import NullFormatter
 from thetacomp.arrays import CARTESIAN
 from thetacomp.report import style
 from thetatwin.hall import DAY_S
-from thetatwin.trial.monthly import (
+from thetatwin.trial.monthly_figures import (
     LEAST_ADAPTIVE_PERCENT,
     LEAST_FROZEN_PERCENT,
     TOOL,

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from itertools import groupby
 
-from thetacomp.report.pages import page
+from thetacomp.report.page_writer import page
 from thetacomp.report.rendering import Drawings, draw
 from thetacomp.screening import Finding
 from thetacomp.table_file import csv_text, plain
-from thetacomp.validation.rows import AcceptanceCheck
+from thetacomp.validation.outcome import AcceptanceCheck
 from thetatwin.hall import DAY_S
 from thetatwin.trial.figures import month_by_month, one_week
-from thetatwin.trial.monthly import TOOL, WORSE_BY_UM, MonthRow
+from thetatwin.trial.monthly_figures import TOOL, WORSE_BY_UM, MonthRow
 from thetatwin.trial.run import ADAPTIVE, Trial
 from thetatwin.year import MONTH_DAYS, Schedule
 
@@ -34,7 +34,7 @@ def trial_files(trial: Trial, rows: Sequence[MonthRow], checks: Sequence[Accepta
 
 @dataclass(frozen=True)
 class _Told:
-    """A fault as the page tells it: begin and end as month and day of the months that are judged, from 1 on."""
+    """A fault as the page shows it: start and end as month and day of the months that are judged, from 1 on."""
 
     sensor: str
     kind: str

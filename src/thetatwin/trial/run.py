@@ -17,7 +17,7 @@ from thetacomp.arrays import Floats, Ints
 from thetacomp.campaign import Campaign, LeadIn, MachineFolder
 from thetacomp.fitting.training import Trained, train
 from thetacomp.model.document import ModelDocument
-from thetacomp.model.fallback import Carried, carry_over
+from thetacomp.model.fallback import BumplessTransfer, start_transfer
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.model.volumetric import predict_volume
 from thetacomp.preparation import Prepared, prepare
@@ -27,7 +27,7 @@ from thetatwin.hall import DAY_S
 from thetatwin.operation import STEP_S, at_minute, spindle_duty
 from thetatwin.trial.clock import clock_error_um
 from thetatwin.trial.probing import DAILY, Course, adapt
-from thetatwin.trial.readings import (
+from thetatwin.trial.screened_year import (
     ScreenedMonth,
     ScreenedYear,
     as_read,
@@ -58,7 +58,7 @@ class Trial:
     """What is judged: errors of the tool in µm, (n, places, 3) at `t_s` (n,), by column; `nothing` is the true error.
 
     The error counts from the middle of the first cold block, as it does for the model. `band_um` are half widths of
-    the stored model's bands, NaN where there are none; `in_domain` (n, places) its flag. `probes` tells how often the
+    the stored model's bands, NaN where there are none; `in_domain` (n, places) its flag. `probes` says how often the
     adaptation took, limited or gated a probe; `screened` are the readings that all models were given.
     """
 
@@ -209,7 +209,7 @@ def _run(
     """Prediction and half width of its band (n, places, 3), flag of validity (n, places), month by month.
 
     `model` names the model that serves where some sensors are lost. Where it changes, the output goes on from where it
-    was: the difference of the two models decays as `fallback.carry_over` does it.
+    was: the difference of the two models decays as `fallback.start_transfer` does it.
     """
     out = _Output(
         np.zeros((len(t_s), len(places), 3)),
@@ -217,7 +217,7 @@ def _run(
         np.zeros((len(t_s), len(places))),
     )
     running: ModelDocument | None = None
-    carried: Carried | None = None
+    carried: BumplessTransfer | None = None
     for number, month in enumerate(readings.months):
         begin_s = _month_s(year.schedule, number)
         rows = np.flatnonzero((t_s > begin_s) & (t_s <= begin_s + MONTH_DAYS * DAY_S))
@@ -228,7 +228,7 @@ def _run(
         for part, lost in parts:
             own, serving = rows[part], model(lost)
             if running is not None and serving is not running:
-                carried = carry_over(t_s[own[0]], out.error[own[0] - 1].ravel(), out.error[own[0]].ravel())
+                carried = start_transfer(t_s[own[0]], out.error[own[0] - 1].ravel(), out.error[own[0]].ravel())
             running = serving
             if carried is not None:
                 out.error[own] += np.array([carried.at(s) for s in t_s[own]]).reshape(len(own), len(places), 3)

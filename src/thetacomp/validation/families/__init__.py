@@ -1,1 +1,1 @@
-"""Families of models beside the stored one, for comparison only: same folds, same search budget, never exported."""
+"""Other families of models, for comparison only: same folds, same search budget, never exported."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Bools, Floats, Ints
+from thetacomp.axis_states import AxisStates, Samples
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import AnyProcedure
-from thetacomp.states import AxisStates, Samples
 from thetacomp.validation.families.family import (
     Family,
     Forecast,

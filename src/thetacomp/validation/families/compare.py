@@ -1,20 +1,20 @@
-"""The comparison table: every family with the folds of the validation, beside the stored model and the clock."""
+"""The comparison table: every family with the folds of the validation, with the stored model and the clock."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.key_point_law import AnyProcedure, Predictor, clock
 from thetacomp.fitting.ridge import STRENGTHS
 from thetacomp.model.document import AxisLaw
-from thetacomp.states import AxisStates
 from thetacomp.validation.families.choice import FamilyModel, family_procedure
+from thetacomp.validation.families.comparison_row import BASELINE, COMPARISON_ONLY, STORED, ComparisonRow
 from thetacomp.validation.families.family import LAGS, Family
-from thetacomp.validation.families.rows import BASELINE, COMPARISON_ONLY, STORED, ComparisonRow
 from thetacomp.validation.joint_view import with_drift
-from thetacomp.validation.rows import CLOCK, DEFAULT, KEY_POINTS, NOTHING, ValidationRow
+from thetacomp.validation.outcome import CLOCK, DEFAULT, KEY_POINTS, NOTHING, ValidationRow
 from thetacomp.validation.validate import AxisTask, column_rows, held_out_residuals, pooled, rows_of
 
 
@@ -66,7 +66,7 @@ class _Watched:
         began_s = time.perf_counter()
         model = self._procedure(states)
         self.seconds = time.perf_counter() - began_s
-        own = getattr(model, "own", model)  # the joint form puts the drift beside the axis
+        own = getattr(model, "own", model)  # the joint form adds the drift to the axis
         self.scored = own.scored if isinstance(own, FamilyModel) else 0
         return model
 

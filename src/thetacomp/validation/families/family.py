@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
+from thetacomp.axis_states import AxisStates, Samples
 from thetacomp.errors import AnalysisError
-from thetacomp.states import AxisStates, Samples
 
 BUDGET = 12
 """Settings that every family may try: one fixed list for every machine and channel."""

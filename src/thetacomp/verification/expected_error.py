@@ -1,0 +1,135 @@
+"""The uncompensated error expected from the temperatures of any run: by a stored model, or by a fit to the off run.
+
+With it both runs are compared at the same heat, and the share of the correction that was applied is estimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.axis_states import AxisStates
+from thetacomp.campaign import Campaign, MachineFolder
+from thetacomp.errors import AnalysisError
+from thetacomp.fitting.procedures import key_point_procedure
+from thetacomp.model.document import ModelDocument
+from thetacomp.model.prediction import law_values
+from thetacomp.model.volumetric import volume_along
+from thetacomp.separation import ComponentSeparation
+
+Expected = tuple[Floats, Floats]
+
+
+def expected_from_fit(
+    folder: MachineFolder, states: AxisStates, off: Sequence[str]
+) -> tuple[tuple[Expected, ...], tuple[str, ...]]:
+    """Expected intercept and slope of every sample, component by component, from a fit to the off campaigns alone.
+
+    All NaN where no sensor explains the error, or where the states are too few; the second value says so.
+    """
+    numbers = [k for k, name in enumerate(states.campaigns) if name in set(off)]
+    rows = np.flatnonzero(np.isin(states.campaign, numbers))
+    label = f"axis {states.axis}" if states.axis else "drift"
+    try:
+        model = key_point_procedure(folder.machine)(states.take(rows))
+    except AnalysisError as exc:
+        return tuple(_nothing(len(s.value_um)) for s in states.samples), (f"{label}: {exc}",)
+    if not model.inputs:
+        note = (
+            f"{label}: no sensor explains the error of the run with compensation off; it is not converted to equal heat"
+        )
+        return tuple(_nothing(len(s.value_um)) for s in states.samples), (note,)
+    out = []
+    for name, samples in zip(states.components, states.samples, strict=True):
+        zeros = np.zeros(len(samples.value_um))
+        at_p0, _ = model.predict(name, states, replace(samples, lever_m=zeros))
+        at_1m, _ = model.predict(name, states, replace(samples, lever_m=zeros + 1.0))
+        out.append((at_p0, at_1m - at_p0))
+    return tuple(out), ()
+
+
+def expected_from_model(
+    model: ModelDocument, folder: MachineFolder, states: AxisStates, separations: Sequence[ComponentSeparation]
+) -> tuple[tuple[Expected, ...], tuple[str, ...]]:
+    """Expected intercept and slope of every sample from a stored model; NaN for components it does not predict.
+
+    The zero is that of the measured error: the mean over the moments at which the cold state was measured.
+    """
+    out, notes = [], []
+    for component, samples in zip(states.components, states.samples, strict=True):
+        expected = _nothing(len(samples.value_um))
+        law = model.in_use.get(states.axis)
+        known = None if law is None else law.components.get(component)
+        if known is None or not known.predicted:
+            notes.append(f"{component}: the model does not predict it; its residual is not caused by the model")
+            out.append(expected)
+            continue
+        for number, name in enumerate(states.campaigns):
+            rows = np.flatnonzero(states.campaign[samples.state] == number)
+            own = next(s for s in separations if s.campaign == name and s.component == component)
+            t_s = 3600.0 * samples.elapsed_h[rows] + float(own.zero_t_s.mean())
+            campaign = folder.campaign(name)
+            at_p0, slope, bend = _along(model, campaign, own, t_s, states.p0_mm)
+            # What bends counts with the intercept: a slope is what changes sign with the position.
+            expected[0][rows], expected[1][rows] = at_p0 + bend * samples.lever_m[rows] ** 2, slope
+        out.append(expected)
+    return tuple(out), tuple(notes)
+
+
+def _along(
+    model: ModelDocument, campaign: Campaign, own: ComponentSeparation, t_s: Floats, p0_mm: float
+) -> tuple[Floats, Floats, Floats]:
+    """Predicted error at `p0_mm`, slope and bend about it, each less its mean over the cold block, (n,).
+
+    A tracker measures true metres, so a wanted length that follows the workpiece plays no part.
+    """
+    times = np.concatenate([own.zero_t_s, t_s])
+    temperatures, duty = campaign.recording()
+    zero_s = float(own.zero_t_s.mean())
+
+    def place(i: int) -> str:
+        return f"campaign {campaign.name}, {own.component} at {times[i]:.0f} s"
+
+    if model.form == "joint" and own.axis:
+        # Here the drift is a component of its own, and the other axes tilt where they stand.
+        places_mm = _standing_mm(model, campaign, own.axis, times) | {own.axis: np.full(len(times), p0_mm)}
+        terms = volume_along(model, temperatures, times, places_mm, own.axis, zero_s, place, duty)
+        at_p0, slope, bend = (term[:, CARTESIAN.index(own.direction)] for term in terms)
+    else:
+        values = law_values(model, own.axis or "", temperatures, times, zero_s, place, duty)
+        u_m = values.law.u_m(np.full(len(times), p0_mm))
+        at_p0, slope = values.error_um(own.component, u_m), values.slope_um_per_m(own.component, u_m)
+        bend = values.term(2)[:, CARTESIAN.index(own.direction)]
+    at_p0, slope, bend = (_less_cold(term, len(own.zero_t_s)) for term in (at_p0, slope, bend))
+    return at_p0, slope, bend
+
+
+def _less_cold(value: Floats, cold: int) -> Floats:
+    """Values after the first `cold` ones, less the mean of those."""
+    known = value[:cold][np.isfinite(value[:cold])]
+    return np.asarray(value[cold:] - (float(known.mean()) if len(known) else 0.0))
+
+
+def _standing_mm(model: ModelDocument, campaign: Campaign, moving: str, times: Floats) -> dict[str, Floats]:
+    """Where the other axes of the model stood while an axis moved, each (n,); at P0 where nobody wrote it down."""
+    p0_mm = {name: law.p0_mm for name, law in model.in_use.items() if law.p0_mm is not None}
+    out = {}
+    points = campaign.sweeps
+    for name, middle_mm in p0_mm.items():
+        if name == moving:
+            continue
+        out[name] = np.full(len(times), middle_mm)
+        if points is None or name not in points.at_mm:
+            continue
+        known = np.isfinite(points.at_mm[name]) & (np.array(points.axis) == moving)
+        if known.any():
+            nearest = np.abs(points.t_s[known][None, :] - times[:, None]).argmin(axis=1)
+            out[name] = points.at_mm[name][known][nearest]
+    return out
+
+
+def _nothing(n: int) -> Expected:
+    return np.full(n, np.nan), np.full(n, np.nan)
