@@ -98,7 +98,7 @@ def _check_folder(out: Path, place: Path, inputs: Sequence[Path], own: Sequence[
 
 def _refuse_input(out: Path, place: Path, path: Path, own: Sequence[str]) -> None:
     """The machine folder, what stands above it and its campaigns are no place for results; nor is a file's own name."""
-    fix = "name a folder beside it, such as results."
+    fix = "name another folder, such as results."
     if path.is_dir():
         if any(_same(place, above) for above in (path, *path.parents)):
             raise OutputError(out, f"it is or holds the folder that is read, {path}.", fix)

@@ -42,8 +42,8 @@ def machine_with_sensors(machine: VirtualMachine, placement: Placement, tool_len
         (10.2, 6.3),
     )
     caption = (
-        f"Yellow numbers: the {len(chosen)} places that tell most about the tool, the most useful first. White: the"
-        " sensors that are there. Each is drawn on the side from which it is seen; those that a casting hides are half"
+        f"Yellow numbers: the {len(chosen)} places that say most about the tool, the most useful first. White: the"
+        " existing sensors. Each is drawn on the side from which it is seen; those that a casting hides are half"
         " transparent. The machine was at the reference temperature before the published run's work began."
     )
     return NamedFigure("machine", "machine", "Temperature, displacement and sensors", caption, figure)

@@ -68,7 +68,7 @@ def _rows(path: Path, file: str) -> list[tuple[int, dict[str, str]]]:
             "missing", "this is a folder, not a table.", f"name the file in it: {path / 'places.csv'}."
         ) from None
     except (UnicodeDecodeError, csv.Error):
-        raise refuse("text", "this is no table of text (UTF-8, parted by commas).", f"{_WRITTEN_BY}.") from None
+        raise refuse("text", "this is not a text table (UTF-8, separated by commas).", f"{_WRITTEN_BY}.") from None
     head = lines[0][1] if lines else []
     missing = [name for name in _COLUMNS if name not in head]
     if missing:

@@ -259,7 +259,7 @@ def _key_points(axis: str, key: str, sensors: Sequence[str]) -> AxisKeyPoints:
         "mutual irrelevance", axis, "largest |r| to a kept sensor (-)",
         tuple(StrategyDecision(s, s == key, 0.0 if s == key else 0.97,
                       "sits on the drive of the moving axis" if s == key
-                      else f"tells the same as {key}") for s in kept),
+                      else f"has the same information as {key}") for s in kept),
     )  # fmt: skip
     third = StrategyTable(
         "fewest sensors",

@@ -552,7 +552,7 @@ def test_drift_agrees_within_the_95_percent_bound(other: float, differs: bool) -
 def test_bound_without_a_degree_of_freedom_claims_nothing(tmp_path: Path) -> None:
     folder = export(tmp_path, drifts(-30.0, dof=0))
     assert "DRIFT" not in console(tmp_path)[1]
-    assert "cannot be told" in (folder / FILES[3]).read_text(encoding="utf-8")
+    assert "cannot be stated" in (folder / FILES[3]).read_text(encoding="utf-8")
 
 
 def test_held_out_figures_stand_before_those_of_the_training(tmp_path: Path) -> None:

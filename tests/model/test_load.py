@@ -151,7 +151,7 @@ COMPONENT = (*LAW, "components", "EYY")
         ((*LAW, "border", "temperature_degC"), {"a": [30.0, 20.0]}, "border.temperature_degC: a from 30 to 20"),
         ((*LAW, "border", "temperature_degC"), {}, "neither a box of temperatures nor a distance"),
         ((*LAW, "layout", "time_constants_s"), [60.0], "its inputs are not plain temperatures"),
-        ((*LAW, "layout", "sensors"), ["a", "a"], "layout: a sensor stands there twice"),
+        ((*LAW, "layout", "sensors"), ["a", "a"], "layout: a sensor is listed twice"),
         ((*LAW, "axis"), "Z", "control.Y: it is the law of axis Z"),
         ((*LAW, "fallbacks", 0, "lost"), "b", "fallback for b: it is not a law without a sensor of the axis"),
         ((*LAW, "fallbacks", 0, "accuracy"), {}, "its components are not those of the axis"),

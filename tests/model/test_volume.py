@@ -193,7 +193,7 @@ def test_the_command_predicts_all_axes_at_once(tmp_path: Path) -> None:
     arguments = files(tmp_path, small(), "t_s,X_mm,W_mm,tool_length_mm\n0,0,0,100\n100,700,400,700\n")
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    assert "a longer tool is taken to lean with the guide of W" in result.output
+    assert "a longer tool is assumed to tilt with the guide of W" in result.output
     rows = list(csv.DictReader((tmp_path / "E.csv").read_text(encoding="utf-8").splitlines()))
     assert list(rows[0])[:5] == ["t_s", "X_mm", "W_mm", "tool_length_mm", "dX_um"]
     assert [float(rows[0][f"d{d}_um"]) for d in "XYZ"] == [0.0, 0.0, 0.0]

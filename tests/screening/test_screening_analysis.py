@@ -94,12 +94,12 @@ def test_the_evidence_is_in_the_notes_of_analysis_and_model() -> None:
         "from 4.98 h on",
         "standard deviations over",
         "limit",
-        "after its begin",
-        "Used less the jump (u = 0.0",
+        "after its start",
+        "Used after subtracting the jump (u = 0.0",
     ):
         assert told in note
     (note,) = (n for n in analysis("jump", repair=False).notes if SENSOR in n and "jump" in n)
-    assert note.endswith("Used as read, for repair is switched off")
+    assert note.endswith("Used as read, because repair is switched off")
 
 
 def test_only_the_faulty_stretch_is_changed_and_the_input_never() -> None:

@@ -58,12 +58,12 @@ def test_a_displacement_frozen_while_the_machine_cools_is_left_out_and_counted()
     assert out.drift.rotation_urad is None
     assert (entry.table, entry.column, entry.count) == ("drift", "dX_um", END - BEGIN - 1)
     assert labels_note(entry, True) == (
-        "campaign c, drift: 35 values of dX_um are frozen (2.58 to 5.42 h) while the machine stands and its"
-        " temperatures move: no measurement. Left out"
+        "campaign c, drift: 35 values of dX_um are frozen (2.58 to 5.42 h) while the machine is at rest and its"
+        " temperatures change: no measurement. Left out"
     )
     told, entries = without_held_labels(frozen(cooling()), apply=False)
     assert np.isfinite(drift_um(told)).all()
-    assert labels_note(entries[0], False).endswith("Used as read, for repair is switched off")
+    assert labels_note(entries[0], False).endswith("Used as read, because repair is switched off")
 
 
 def turned(campaign: Campaign) -> Campaign:

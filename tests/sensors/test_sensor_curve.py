@@ -194,7 +194,7 @@ def test_analyze_writes_the_curve_and_draws_it(tmp_path: Path) -> None:
     held_out = next(line for line in left.get_lines() if line.get_label() == "campaigns left out")
     drawn: Floats = np.asarray(held_out.get_ydata(), dtype=float)
     np.testing.assert_allclose(drawn, [p.held_out_um for p in analysis.sensor_curves[0].points])
-    assert right.get_title(loc="left") == "campaigns drawn anew 200 times"
+    assert right.get_title(loc="left") == "campaigns resampled 200 times"
 
 
 def test_no_curve_where_campaigns_are_too_few() -> None:

@@ -138,7 +138,7 @@ def test_what_cannot_be_joined_is_named() -> None:
     lost = replace(campaign, drift=replace(campaign.drift, at_mm={}))
     found = separate_joint(MACHINE, lost)
     assert found.notes == (
-        "campaign warm-up: drift.csv is left out, it does not say where the axes stood (at_X_mm, at_Y_mm, at_W_mm)",
+        "campaign warm-up: drift.csv is left out, it lacks the positions of the axes (at_X_mm, at_Y_mm, at_W_mm)",
     )
 
 

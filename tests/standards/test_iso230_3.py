@@ -216,7 +216,7 @@ def test_axis_distortion_has_the_closed_form_of_the_growth() -> None:
     across = line(test, "Y", "1000 mm, approach -")
     assert (across.period, across.u) == pytest.approx((12.0, 3.0 * math.sqrt(2.0)))
     assert line(test, "X", "0 mm, approach +").period == 0.0
-    assert any("does not tell what moved between the visits" in remark for remark in test.remarks)
+    assert any("does not show what moved between the visits" in remark for remark in test.remarks)
 
 
 def test_what_ran_between_the_visits_is_told_and_a_hydraulic_unit_is_no_motion() -> None:
@@ -229,7 +229,7 @@ def test_what_ran_between_the_visits_is_told_and_a_hydraulic_unit_is_no_motion()
             "Meanwhile: feed_X_mm_min up to 800.",
         ),
         ({"feed_X_mm_min": np.zeros(3), "hydraulics_on": np.ones(3)}, "Nothing moved between the visits"),
-        ({"hydraulics_on": np.ones(3)}, "does not tell what moved"),
+        ({"hydraulics_on": np.ones(3)}, "does not show what moved"),
     ):
         remarks = axis_distortion(replace(made, duty=Duty(t_s, columns)), axis).remarks
         assert any(told in remark for remark in remarks), told

@@ -370,7 +370,7 @@ def test_lost_points_stay_missing():
         ({"swept": ("X",)}, "frame-line", "roll of the tracker about X cannot be determined"),
         ({"foundation_names": ("F1", "F3")}, "foundation-line", "mostly X: the roll of the tracker about this line"),
         ({"foundation_names": ("F1",)}, "foundation-few", "fewer than three"),
-        ({"foundation_names": (), "stations": {3: "B"}}, "foundation-missing", "cannot be told from the machine"),
+        ({"foundation_names": (), "stations": {3: "B"}}, "foundation-missing", "cannot be found from the machine"),
     ],
 )
 def test_what_cannot_be_determined_is_refused_with_the_reason(options, code, words):

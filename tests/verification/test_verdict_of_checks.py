@@ -48,7 +48,7 @@ def checked(**given: object) -> dict[str, Check]:
 def test_all_checks_of_a_good_run_are_passed_and_there_is_no_cause() -> None:
     found = checked(shares=[share("EXX")], harm=[harm("EXX", 1.0, 2.0)])
     assert list(found) == [
-        "operating mode", "active tables", "heat", "axis X: RMS on / RMS off at like heat",
+        "operating mode", "active tables", "heat", "axis X: RMS on / RMS off at equal heat",
         "applied share of the correction", "harm by position",
     ]  # fmt: skip
     assert all(check.passed for check in found.values())
@@ -123,7 +123,7 @@ def test_each_axis_is_judged_by_the_root_of_its_squares_at_like_heat() -> None:
         row("EZY", 10.0, 5.1), row("EXW", 0.0, 1.0),
     ]  # fmt: skip
     found = checked(rows=rows)
-    limit = "RMS on / RMS off at like heat"
+    limit = "RMS on / RMS off at equal heat"
     assert [(name, check.found, check.passed) for name, check in found.items() if limit in name] == [
         (f"axis X: {limit}", "0.50", True),
         (f"drift: {limit}", "0.51", False),
@@ -286,7 +286,7 @@ def test_other_causes_stand_before_the_shares_and_another_mode_silences_them() -
 
 
 def test_a_failure_without_a_share_to_blame_is_the_model_or_unknown() -> None:
-    for shares, text in (([share("EXX")], "the model does not follow this run well"), ([], "no cause can be told")):
+    for shares, text in (([share("EXX")], "the model does not follow this run well"), ([], "no cause can be found")):
         (cause,) = causes([FAILED, Check("kept", True, "good", "")], OFF, ON, shares, MACHINE, None)
         assert (cause.kind, cause.components) == ("model", ())
         assert text in cause.text

@@ -146,7 +146,7 @@ def test_an_empty_campaign_and_one_without_heat_are_refused(folder: MachineFolde
     with pytest.raises(AnalysisError, match="campaign on holds no sweeps, parameters or drift"):
         verify_folder(replace(folder, campaigns=(off, silent)), ["off"], ["on"], true_model())
     cold = replace(on, sweeps=taken(on.sweeps, on.sweeps.t_s < 3600.0))
-    with pytest.raises(AnalysisError, match="neither run holds heated states"):
+    with pytest.raises(AnalysisError, match="neither run has heated states"):
         verify_folder(replace(folder, campaigns=(off, cold)), ["off"], ["on"], true_model())
 
 

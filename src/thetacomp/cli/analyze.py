@@ -27,13 +27,14 @@ def analyze(
         typer.Option("--test", help="Campaign to test on only; repeat for more. Default: each is held out in turn."),
     ] = None,
     no_repair: Annotated[
-        bool, typer.Option("--no-repair", help="Only tell faulty temperatures and held labels; use all values as read.")
+        bool,
+        typer.Option("--no-repair", help="Only report faulty temperatures and held labels; use all values as read."),
     ] = False,
     mix: Annotated[
         bool, typer.Option("--mix", help="Let campaigns of different modes or active tables share one model.")
     ] = False,
     compare: Annotated[
-        bool, typer.Option("--compare", help="Judge other families of models beside the stored one; takes minutes.")
+        bool, typer.Option("--compare", help="Judge other families of models as well; takes minutes.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

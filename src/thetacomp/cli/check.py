@@ -71,7 +71,7 @@ def _verdict(errors: int, warnings: int) -> str:
     if not errors and not warnings:
         return "No problems found."
     end = (
-        "The folder cannot be used until the errors are mended."
+        "The folder cannot be used until the errors are corrected."
         " Further checks wait for these errors: run the check again then."
         if errors
         else "The folder can be used."

@@ -30,13 +30,13 @@ What to remember about these numbers
 - They are not fit for use on a machine, and every file says so: the publication does not state the sign of the
   errors, and its temperatures had to be reconstructed from the errors. They check the arithmetic, not the physics,
   and cannot be compared with the published 71 % and 64 %, which come from a separate compensated run.
-- Look at the clock beside the thermometer: on this one warm-up, elapsed time alone does about as well. Only a second
-  campaign with another duty can tell the two apart. That is why every validation shows the clock.
+- Compare the clock with the thermometer: on this one warm-up, elapsed time alone does about as well. Only a second
+  campaign with another duty can distinguish the two. That is why every validation shows the clock.
 
 Open these files
   {report}  the report: start here
   {model}  the model, with its equations
-  {sheet}  the sheet that goes with the controller data beside it
+  {sheet}  the sheet that belongs to the controller data in the same folder
   {folder}  the input: put your own measurements into such a folder
 
 Then, with your own machine

@@ -63,7 +63,7 @@ def keypoints(
     sensors: Annotated[
         int | None, typer.Option(min=1, help="exact: only the best set of so many sensors. Default: the curve 1 to 6.")
     ] = None,
-    score: Annotated[SearchScore, typer.Option(help="exact: what is made smallest.")] = SearchScore.HELD_OUT,
+    score: Annotated[SearchScore, typer.Option(help="exact: the quantity to be minimised.")] = SearchScore.HELD_OUT,
     budget_s: Annotated[
         float | None, typer.Option("--budget-s", min=0.0, help="exact: most seconds for each number of sensors.")
     ] = None,
@@ -84,11 +84,11 @@ def keypoints(
         raise typer.BadParameter("--machine is for correlation tables without a folder; a folder has its machine.toml.")
     exact = method is MethodName.EXACT
     if exact and parameter_correlations is not None:
-        raise typer.BadParameter("--method exact needs measurements: published correlations do not tell hold-outs.")
+        raise typer.BadParameter("--method exact needs measurements: published correlations have nothing to hold out.")
     if not exact and (sensors is not None or budget_s is not None or score is not SearchScore.HELD_OUT):
         raise typer.BadParameter("--sensors, --score and --budget-s belong to --method exact.")
     if parameter_correlations is not None and (train or mix):
-        raise typer.BadParameter("--train and --mix choose campaigns: published correlations hold none.")
+        raise typer.BadParameter("--train and --mix choose campaigns: published correlations have none.")
     if parameter_correlations is not None and sensor_correlations is not None:
         tables = (parameter_correlations, sensor_correlations)
         run(lambda: _from_tables(tables, folder, machine), as_json)
@@ -116,7 +116,7 @@ def _from_tables(tables: tuple[Path, Path], folder: Path | None, machine: Path |
     found = key_points_from_correlations(parameters, sensors, known)
     notes = [_about_the_rule(parameters)]
     if known is None:
-        notes.append("No --machine: drives are not known, so the middle of each group stands for it.")
+        notes.append("No --machine: drives are not known, so the middle of each group represents it.")
     return _outcome([(PUBLISHED, found)], notes)
 
 

@@ -31,7 +31,7 @@ def plan(
     instrument: Annotated[str, typer.Option(help="Name of the tracker.")] = "laser tracker",
     tracker_u_um: Annotated[float, typer.Option(help="Expanded uncertainty (k = 2) of a point, µm …")] = 15.0,
     tracker_u_um_per_m: Annotated[float, typer.Option(help="… growing with the distance, µm/m.")] = 6.0,
-    tracker_at: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Where the tracker stands, mm.")] = None,
+    tracker_at: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Position of the tracker, mm.")] = None,
     tracker_distance_mm: Annotated[float, typer.Option(help="Its distance, where the place is unknown, mm.")] = 5000.0,
     vertical: Annotated[str, typer.Option(help="Machine direction that points up: X, Y or Z.")] = "Y",
     park: Annotated[list[str] | None, typer.Option(metavar="AXIS=MM", help="Rest position of an axis; repeat.")] = None,
@@ -41,7 +41,9 @@ def plan(
     start: Annotated[
         datetime | None, typer.Option(formats=["%Y-%m-%dT%H:%M"], help="When the temperature log begins.")
     ] = None,
-    must_see_um: Annotated[float | None, typer.Option(help="Change at the travel's end that must be seen, µm.")] = None,
+    must_see_um: Annotated[
+        float | None, typer.Option(help="Change at the travel's end that must be detected, µm.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Plan a measuring campaign: NC programs, timetable, empty tables, and what it will be able to see."""
@@ -94,7 +96,7 @@ def _text(plan: MeasuringPlan, files: tuple[str, ...], out: Path) -> str:
         f"{setup.machine.name}: {len(table.rounds)} rounds of {table.rounds[0].length_s / 60:.0f} min,"
         f" {sum(1 for point in table.points if point.axis)} sweep points,"
         f" {table.blocks[-1].end_s / 3600:.1f} h in all",
-        "One heated round will see, as standard errors (k = 1):",
+        "Standard errors (k = 1) of one heated round:",
         "  component   S µm/m   I µm   drift µm   visible at the travel's end (95 %) µm",
         *(
             f"  {row.component:<9} {row.slope_se_um_per_m:8.1f} {row.intercept_se_um:6.1f} {row.drift_se_um:10.1f}"

@@ -201,7 +201,7 @@ def _outcome(
     if history:
         lines.append(
             f"  heat history for {', '.join(history)}: the filters start at rest on the first row of the temperatures;"
-            " begin the table in a machine that has rested, or hours before the moments wanted"
+            " begin the table when the machine has been at rest, or hours before the times wanted"
         )
     lines += [f"  largest |{name[:-3]}|: {value:.1f} µm" for name, value in largest.items() if value is not None]
     if outside:
@@ -210,7 +210,7 @@ def _outcome(
     if missing:
         lines.append(f"  {_rows(missing)} without a temperature for an input: the values are empty.")
     if (np.isfinite(prediction.error_um) & ~np.isfinite(prediction.lower_um)).any():
-        lines.append("  Some bounds are empty: the fit had no degree of freedom left to tell them.")
+        lines.append("  Some bounds are empty: the fit had no degree of freedom left for them.")
     if unpredicted:
         lines.append(f"  No sensor predicts {', '.join(unpredicted)}: they do not change with temperature here.")
     lines += further

@@ -12,7 +12,7 @@ from thetacomp.extras import require
 
 
 def twin(
-    out: Annotated[Path, typer.Option(help="Machine folder to write; the truth goes to OUT-truth beside it.")],
+    out: Annotated[Path, typer.Option(help="Machine folder to write; the truth goes to OUT-truth next to it.")],
     preset: Annotated[str, typer.Option(help="standard, hard, or the path of a TOML file of conditions.")] = "standard",
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 1,
     campaigns: Annotated[int, typer.Option(min=1, max=26, help="Number of campaigns; the first is the paper's.")] = 4,

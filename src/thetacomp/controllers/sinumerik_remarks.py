@@ -24,7 +24,7 @@ def left_to_history(plan: RegisterPlan) -> tuple[str, ...]:
     if not plan.model.prediction:
         return ()
     rest = f" Held out it leaves (RMS): {', '.join(worse)}." if worse else ""
-    return (f"the control carries the law on key temperatures; heat history needs filters that run beside it.{rest}",)
+    return (f"the control carries the law on key temperatures; heat history needs filters that run next to it.{rest}",)
 
 
 def differing(plan: RegisterPlan) -> tuple[LeftOut, ...]:

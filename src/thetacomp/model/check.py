@@ -86,7 +86,7 @@ def _travel(law: AxisLaw) -> Iterator[str]:
 
 def _layout(layout: InputLayout) -> Iterator[str]:
     if len(set(layout.sensors)) < len(layout.sensors):
-        yield "layout: a sensor stands there twice"
+        yield "layout: a sensor is listed twice"
     if layout.time_constants_s and not layout.sensors:
         yield "layout: filters without a sensor"
     if not all(1e-3 <= tau_s <= 1e9 for tau_s in layout.time_constants_s):

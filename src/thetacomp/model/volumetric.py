@@ -185,13 +185,13 @@ def _chain(
     """The measured axes in the order of the chain. Raises AnalysisError where the model or a position is missing."""
     if model.form != "joint":
         raise AnalysisError(
-            "this model holds every axis on its own (separate form): each of its intercepts holds the drift, and adding"
+            "this model treats every axis alone (separate form): each of its intercepts contains the drift, and adding"
             " them would count the drift once for each axis. Fix: measure with the positions of the other axes"
             " (at_<axis>_mm columns in sweeps.csv) and run `thetacomp analyze` again; or give t_s, axis, position_mm."
         )
     if "" not in model.in_use:
         raise AnalysisError(
-            "the model has no drift (DX, DY, DZ), without which no volume can be told."
+            "the model has no drift (DX, DY, DZ), without which the error in the volume is unknown."
             " Fix: measure at a fixed position too, and run `thetacomp analyze` again."
         )
     measured = {name: law.p0_mm for name, law in model.in_use.items() if name}
@@ -219,15 +219,15 @@ def _check_length(model: ModelDocument, volume: _Volume, longer_mm: Floats, plac
     if np.any(longer_mm) and "" not in volume.turned and spindle_lean(volume.chain) is None:
         raise AnalysisError(
             f"tool_length_mm differs from {model.tool_length_mm:g} mm, the length in the measurements, but the model"
-            f" has no angles, and its last axis {volume.chain[-1].name} does not run along the spindle (Z): what a"
-            " longer tool does is not known. Fix: measure rA_urad, rB_urad, rC_urad, or leave tool_length_mm out."
+            f" has no angles, and its last axis {volume.chain[-1].name} does not run along the spindle (Z): the"
+            " effect of a longer tool is unknown. Fix: measure rA_urad, rB_urad, rC_urad, or leave tool_length_mm out."
         )
 
 
 def _lean_text(volume: _Volume) -> str:
     if "" in volume.turned:
         return "the measured angles act on the change of the tool length"
-    return f"a longer tool is taken to lean with the guide of {volume.chain[-1].name} (no angles were measured)"
+    return f"a longer tool is assumed to tilt with the guide of {volume.chain[-1].name} (no angles were measured)"
 
 
 def _at(values: LawValues, u_m: float) -> Part:

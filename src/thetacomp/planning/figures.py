@@ -43,7 +43,7 @@ def day_figure(timetable: Timetable) -> style.NamedFigure:
     axes.set_yticks(range(len(kinds)), [name for _, name, _ in kinds])
     axes.set_ylim(len(kinds) - 0.5, -0.95)
     axes.set_xlim(0, timetable.blocks[-1].end_s / style.HOUR_S)
-    axes.set_xlabel("time since the begin of the temperature log (h)")
+    axes.set_xlabel("time since the start of the temperature log (h)")
     axes.grid(False, axis="y")
     return style.NamedFigure(
         "day",
@@ -79,7 +79,7 @@ def visible_change_figure(visible_changes: Sequence[VisibleChange], must_see_um:
     return style.NamedFigure(
         "reach",
         "reach",
-        "What one round can see",
+        "What one round can detect",
         "The parts add up as squares. The longest part is the one to improve: scatter by more points, a longer dwell"
         " or a nearer tracker; angle and tie by a nearer tracker; tie also by targets further apart.",
         figure,
@@ -121,7 +121,7 @@ def floor_figure(setup: Setup, targets: Sequence[FoundationTarget]) -> style.Nam
         "floor",
         "floor",
         "Seen from above",
-        "Machine frame; the origin is the tool with all axes at zero. Free places near these serve as well:"
-        " what counts is that the targets are far apart, not on one line, and on floor that the machine does not warm.",
+        "Machine frame; the origin is the tool with all axes at zero. Free places near these are also suitable:"
+        " it matters that the targets are far apart, not on one line, and on floor that the machine does not warm.",
         figure,
     )

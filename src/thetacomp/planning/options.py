@@ -128,7 +128,7 @@ def numbers(option: str, text: str, count: int) -> tuple[float, ...]:
         raise InputError(
             [
                 problem(
-                    f"{option} {text}: expected {count} number{'s parted by commas' if count > 1 else ''}.",
+                    f"{option} {text}: expected {count} number{'s separated by commas' if count > 1 else ''}.",
                     f"write it like {option} {example}, in mm, with a decimal point.",
                 )
             ]

@@ -41,23 +41,23 @@ def assess_plan(setup: Setup, visible_changes: Sequence[VisibleChange]) -> PlanA
     best = min(visible_changes, key=lambda one: one.visible_um)
     wanted = setup.options.must_see_um
     seen = (
-        f"At the end of its travel a thermal change of {worst.visible_um:.0f} µm is told from nothing in every"
+        f"At the end of its travel a thermal change of {worst.visible_um:.0f} µm differs from zero in every"
         f" component (worst {worst.component}, best {best.component} with {best.visible_um:.0f} µm), by one round,"
         " with 95 % confidence."
     )
     if wanted is None:
         return PlanAssessment(
             None,
-            f"One round sees {worst.visible_um:.0f} µm at the end of the travel",
+            f"One round can detect {worst.visible_um:.0f} µm at the end of the travel",
             f"{seen} Compare this with the thermal errors that matter on this machine: a model can hardly be better"
-            " than what it is learnt from. --must-see-um turns the comparison into a check.",
+            " than its training data. --must-see-um turns the comparison into a check.",
         )
     failing = [one.component for one in visible_changes if one.visible_um > wanted]
     if not failing:
-        return PlanAssessment(True, f"Good enough: {wanted:g} µm will be seen in every component", seen)
+        return PlanAssessment(True, f"Good enough: {wanted:g} µm can be detected in every component", seen)
     return PlanAssessment(
         False,
-        f"Not good enough: {wanted:g} µm will not be seen in {len(failing)} of {len(visible_changes)} components",
+        f"Not good enough: {wanted:g} µm cannot be detected in {len(failing)} of {len(visible_changes)} components",
         f"Too small for this plan in {', '.join(failing)}. {seen} Bring the tracker nearer, measure more points, or use"
         " an instrument of lower uncertainty.",
     )

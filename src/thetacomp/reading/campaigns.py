@@ -112,7 +112,7 @@ def temperatures(table: Table, start_micros: int, machine: Machine | None, probl
             "sensor-without-column",
             table.file,
             f"{len(absent)} of the {len(order)} sensors of machine.toml have no column here: {quoted(absent)}.",
-            "add their columns, or go on without these sensors.",
+            "add their columns, or continue without these sensors.",
         )
     data = Temperatures(table.t_s(start_micros), kept, table.stacked(kept) if kept else np.empty((len(table.rows), 0)))
     checks.time_order(table, data.t_s, problems)
@@ -288,14 +288,14 @@ def _together(
             "two-sources",
             place,
             f"there are {' and '.join(over_position)}.",
-            "keep one of them: they state the same errors and stand instead of each other.",
+            "keep one of them: they state the same errors and replace each other.",
         )
     if not set(MEASURED) & {*tables, *unread}:
         problems.warning(
             "nothing-measured",
             place,
             "there are temperatures but no sweeps, tracker points, drift or parameters.",
-            "add the measured errors; a model cannot be made from temperatures alone.",
+            "add the measured errors; a model needs more than temperatures.",
         )
     if settings.reference_s is not None and not heat.t_s[0] <= settings.reference_s <= heat.t_s[-1]:
         problems.error(

@@ -246,7 +246,7 @@ def sweeps(table: Table, data: SweepPoints, problems: ProblemList) -> None:
             "sweep-too-short",
             table.file,
             f"the sweep of axis {data.axis[short[0]]} that starts here has fewer than 3 different positions.",
-            "measure at least 3 positions; if the sweeps are parted wrongly, add a column `run`"
+            "measure at least 3 positions; if the sweeps are separated wrongly, add a column `run`"
             " with one number for each sweep.",
             table.rows[short].tolist(),
             table.header("position_mm"),

@@ -96,7 +96,7 @@ def _something_measured(found: tuple[Campaign, ...], recorded: bool, problems: P
     problems.error(
         "nothing-measured",
         RECORDING if recorded else "campaigns",
-        "no campaign has measured errors: there are temperatures alone, and a model cannot be made from them.",
+        "no campaign has measured errors: there are only temperatures, and a model cannot be made from them.",
         "name the columns of the errors under [recording.drift]."
         if recorded
         else "add sweeps.csv (errors over position), parameters.csv (separated lines) or drift.csv (errors at a fixed"
@@ -173,7 +173,7 @@ def _campaign_folders(path: Path, machine: Machine | None, problems: ProblemList
             problems.warning(
                 "unknown-file",
                 f"campaigns/{name}",
-                "the file stands outside the folder of a campaign and is not read.",
+                "the file is outside the folder of a campaign and is not read.",
                 "move it into campaigns/<date>/.",
             )
     if not folders:

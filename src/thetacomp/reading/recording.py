@@ -72,7 +72,7 @@ def read_recording(path: Path, machine: Machine, problems: ProblemList) -> tuple
         source = read_source(path.parent / recording.file, recording.file, recording.sheet)
     except UnreadableError as refusal:
         if refusal.code == "missing-file":
-            refusal.fix = f"put the recording beside {FILE} (see the README.md there), or correct `file` in {FILE}."
+            refusal.fix = f"put the recording next to {FILE} (see the README.md there), or correct `file` in {FILE}."
         problems.refuse(recording.file, refusal)
         return ()
     matched = _match(source, recording, machine, problems)

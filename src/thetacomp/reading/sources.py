@@ -268,7 +268,7 @@ def _refuse_ragged(body: Sequence[tuple[int, Sequence[Any]]], width: int, delimi
     wrong = [(number, len(row)) for number, row in body if len(row) < width or any(cell != "" for cell in row[width:])]
     if wrong:
         cells = wrong[0][1]
-        hint = " A decimal comma in a file parted by commas does this." if delimiter == "," and cells > width else ""
+        hint = " A decimal comma in a file separated by commas does this." if delimiter == "," and cells > width else ""
         raise UnreadableError(
             "ragged-rows",
             f"found {cells} cells, expected {width} as in the header.{hint}",

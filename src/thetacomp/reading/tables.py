@@ -222,7 +222,7 @@ def _explained(cell: Any, is_text_file: bool) -> tuple[str, str, str]:
         return (
             "formula-error",
             f"found the formula error '{shown}', expected a number.",
-            f"mend the formula, or {leave_empty}",
+            f"correct the formula, or {leave_empty}",
         )
     if _ISO.fullmatch(cell) or _DAY_MONTH.fullmatch(cell):
         return (

@@ -123,7 +123,7 @@ def _legacy(data: bytes, row: int) -> str:
     line = data.split(b"\n")[row - 1]
     raise UnreadableError(
         "encoding",
-        f"the encoding of the text cannot be told. {known}: {shortened(line.decode('ascii', 'backslashreplace'))}",
+        f"the encoding of the text is not clear. {known}: {shortened(line.decode('ascii', 'backslashreplace'))}",
         SAVE_AS_UTF8,
         rows=(row,),
     )
@@ -168,8 +168,8 @@ def split(text: str) -> tuple[str, list[list[str]]]:
     if len(candidates) != 1:
         raise UnreadableError(
             "delimiter",
-            f"the first line holds several of comma, semicolon and tab: {shortened(first_line)}. Which one parts the"
-            " columns cannot be told.",
+            f"the first line holds several of comma, semicolon and tab: {shortened(first_line)}. It is not clear"
+            " which one separates the columns.",
             "use one delimiter, and no other of the three inside the headers.",
             rows=(1,),
         )
@@ -228,7 +228,7 @@ def decimal_sign(columns: Mapping[str, Sequence[str]], rows: Ints, delimiter: st
     if commas.any and delimiter == ",":
         raise UnreadableError(
             "decimal-comma",
-            f"found the comma number '{shortened(commas.first.cell)}' in a file parted by commas: decimal comma or"
+            f"found the comma number '{shortened(commas.first.cell)}' in a file separated by commas: decimal comma or"
             " thousands?",
             f"{plain}, or part the columns by semicolons.",
             rows=(commas.first.row,),

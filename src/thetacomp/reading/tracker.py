@@ -194,6 +194,6 @@ def _others_are_known(table: Table, points: SweepPoints, machine: Machine, probl
         problems.warning(
             "at-missing",
             table.file,
-            f"the axes {quoted(resting)} have no positions here; they are taken to stand still during the campaign.",
+            f"the axes {quoted(resting)} have no positions here; they are assumed not to move during the campaign.",
             "add their columns at_<axis>_mm if they moved between the sweeps.",
         )

@@ -144,7 +144,7 @@ def _joined(tables: Sequence[Table], planned: Table, place: str, problems: Probl
                 "target-count",
                 table.file,
                 f"the target '{name}' was measured {len(rows)} times and planned {len(plan[name])} times:"
-                " which is which cannot be told.",
+                " it is not clear which is which.",
                 f"delete the rows of {planned.file} that were not measured, or give every reading a name of its own, in"
                 " the column `point` there.",
                 [int(table.rows[i])],
@@ -156,7 +156,7 @@ def _joined(tables: Sequence[Table], planned: Table, place: str, problems: Probl
             "target-not-measured",
             planned.file,
             f"{len(absent)} planned targets were not measured: {quoted(absent)}.",
-            "go on if their beam was lost; else export them too.",
+            "continue if their beam was lost; otherwise export them too.",
         )
     problems.extend(found)
     if found.has_errors:

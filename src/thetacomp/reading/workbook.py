@@ -73,7 +73,9 @@ class Workbook:
         xml = self._xml(sheet)
         broken = _ERROR_CELL.findall(xml) if b't="e"' in xml else []
         if broken:
-            raise _at_cells("formula-error", "the formula gives an error such as #DIV/0!.", "mend the formula", broken)
+            raise _at_cells(
+                "formula-error", "the formula gives an error such as #DIV/0!.", "correct the formula", broken
+            )
         uncomputed = [a for a in _NO_RESULT.findall(xml) if b't="str"' not in a] if b"<f" in xml else []
         if uncomputed:
             raise _at_cells(
@@ -99,7 +101,7 @@ class Workbook:
         return UnreadableError(
             "binary-file",
             f"the file is no .xlsx workbook or it is damaged ({shortened(exc, 60)}).",
-            "open it in Excel and save it as .xlsx again; a password must be taken off.",
+            "open it in Excel and save it as .xlsx again; a password must be removed.",
         )
 
 

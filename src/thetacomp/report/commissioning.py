@@ -171,7 +171,7 @@ def _drift_rows(plan: RegisterPlan) -> Rows:
             o.counted,
             f"{o.counted_um:+.1f}",
             f"± {o.bound_um:.1f}" if isfinite(o.bound_um) else "–",
-            "DIFFERS" if o in apart else "within the bound" if isfinite(o.bound_um) else "cannot be told",
+            "DIFFERS" if o in apart else "within the bound" if isfinite(o.bound_um) else "cannot be stated",
         ]
         for o in plan.left_out
     ]

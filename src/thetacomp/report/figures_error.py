@@ -75,7 +75,7 @@ def error_over_position(analysis: AnalysisResult) -> list[style.NamedFigure]:
         style.time_bar(figure, places.values(), norm)
         measured = any(s.points is not None for s in parts)
         caption = (
-            "Dots: measured points (a cross is an outlier without weight; one beyond the frame stands at its edge)."
+            "Dots: measured points (a cross is an outlier without weight; one beyond the frame is drawn at its edge)."
             " Lines: geometry plus the separated thermal line of each state."
             if measured
             else "Thermal lines S (p - P0) + I of each state, less the cold state; points and geometry are not part of"
@@ -104,7 +104,7 @@ def _draw_states(axes: Axes, part: ComponentSeparation, norm: Normalize) -> None
                 axes.plot(curve.position_mm, value, color=color, lw=0.9, ls=style.DIRECTION_MARKS[curve.direction][1])
     if points is None:
         return
-    # A gross outlier must not flatten the picture: one beyond the frame stands at its edge.
+    # A gross outlier must not flatten the picture: one beyond the frame is drawn at its edge.
     good = points.error_um[~points.outlier]
     margin = 0.12 * (np.ptp(good) or 1.0)
     low, high = good.min() - margin, good.max() + margin
@@ -139,7 +139,7 @@ def geometry_curves(analysis: AnalysisResult) -> list[style.NamedFigure]:
         handles, texts = next(iter(places.values())).get_legend_handles_labels()
         figure.legend(handles, texts, loc="outside upper right", ncols=4)
         caption = (
-            "Geometry holds all of the cold state; the band is the 95 % interval of the curve. Reversal is the mean"
+            "Geometry contains all of the cold state; the band is the 95 % interval of the curve. Reversal is the mean"
             " of G(+) \N{MINUS SIGN} G(\N{MINUS SIGN}), with its sign."
         )
         name = "geometry" + (f"_{style.file_label(label, number)}" if label else "")
@@ -180,7 +180,7 @@ def drift_over_time(analysis: AnalysisResult) -> list[style.NamedFigure]:
         figure.legend(handles, texts, loc="outside upper right", ncols=3)
         caption = (
             f"Displacement at a fixed position and what {drawn_law(analysis)} says. It was trained on these data too:"
-            " section 5 holds the held-out figures."
+            " section 5 has the held-out figures."
         )
         name = f"drift_{style.file_label(campaign.name, number)}"
         figures.append(style.NamedFigure(name, "drift", f"Drift in campaign {campaign.name}", caption, figure))

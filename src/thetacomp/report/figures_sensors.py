@@ -47,7 +47,7 @@ def _caption(analysis: AnalysisResult, curve: SensorCurve) -> str:
         else "Each set is proven: no other of the same size scores better."
     )
     return (
-        f"Below each number stand the best sensors, chosen by {_SCORES[curve.score]} over"
+        f"Below each number are the best sensors, chosen by {_SCORES[curve.score]} over"
         f" {len(curve.campaigns)} campaigns; least squares on their rises, RMS over travel and states of the error"
         f" vector. {proof} The held-out error of a set that was chosen by it flatters a little; the ring marks the"
         " fewest sensors within 5 % of the best. This search serves judgement: the key points of the model are chosen"
@@ -86,4 +86,4 @@ def _draw_shares(axes: Axes, shares: SelectionShares) -> None:
     axes.grid(axis="y", visible=False)
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel(f"chosen among the best {shares.count}")
-    axes.set_title(f"campaigns drawn anew {shares.draws} times")
+    axes.set_title(f"campaigns resampled {shares.draws} times")

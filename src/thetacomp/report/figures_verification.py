@@ -117,7 +117,7 @@ def harm_maps(result: VerificationResult) -> list[style.NamedFigure]:
     ordered = sorted(result.harm, key=lambda one: one.limit_um - one.largest_um)
     worst = _harm_figure(ordered[:_WORST_MAPS], 1, 1.45)
     caption = (
-        "|residual| less |uncompensated error at like heat|, in µm: blue is better, red is harm. The components with"
+        "|residual| minus |uncompensated error at equal heat|, in µm: blue is better, red is harm. The components with"
         " the most harm; the cross marks the largest."
     )
     figures = [style.NamedFigure("verification_harm", "page", "Harm by position and time", caption, worst)]

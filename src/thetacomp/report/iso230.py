@@ -172,7 +172,7 @@ def _conditions(test: Evaluated) -> list[str]:
         if math.isfinite(start_s):
             words += _temperature_words(test.campaign, start_s, end_s)
         words += _settings_words(test.campaign)
-    not_stated = "not stated: a table on its own tells no uncertainty"
+    not_stated = "not stated: a separate table has no uncertainty"
     words.append(f"Instrument: {test.instrument.statement if test.campaign is not None else not_stated}.")
     return words
 

@@ -70,7 +70,7 @@ def labels_note(entry: HeldLabels, repair: bool) -> str:
         f"campaign {entry.campaign}, {entry.table}: {entry.count} values of {entry.column} are frozen ({shown}{more})"
     )
     why = (
-        "while the machine stands and its temperatures move"
+        "while the machine is at rest and its temperatures change"
         if entry.table == "drift"
         else "in every direction, while the axis goes from point to point"
     )

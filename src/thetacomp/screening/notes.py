@@ -61,32 +61,32 @@ def _evidence(f: Finding) -> str:
         return f"{f.statistic:.1f} times the usual deviation of a sample, limit {f.threshold:.1f}"
     return (
         f"{f.statistic:.1f} standard deviations over {f.window_s / 60.0:.0f} min, limit {f.threshold:.1f}; seen"
-        f" {max(f.detected_s - f.start_s, 0.0) / 60.0:.0f} min after its begin"
+        f" {max(f.detected_s - f.start_s, 0.0) / 60.0:.0f} min after its start"
     )
 
 
 def _done(f: Finding, repair: bool) -> str:
     if f.repair == "none":
-        return "The machine did what the other campaigns do not show; no temperature was changed"
+        return "The machine did something that the other campaigns do not show; no temperature was changed"
     u = f"u = {f.repair_u_K:.2g} K, one standard deviation" if np.isfinite(f.repair_u_K) else "u unknown"
     if not repair:
-        return "Used as read, for repair is switched off"
+        return "Used as read, because repair is switched off"
     if f.repair == "shifted back":
-        return f"Used less the jump ({u})"
+        return f"Used after subtracting the jump ({u})"
     if f.repair == "swapped back":
         return "The two channels were exchanged back"
     if f.repair == "reconstructed":
         return f"Rebuilt from {len(f.repaired_from)} healthy sensors, anchored just before the fault ({u} at its end)"
     return (
         "It cannot be rebuilt well enough, so no reading of it in this campaign is used: where this campaign trains,"
-        " the choice of inputs sees a sensor without reading, and where it is held out, the model does without it"
+        " the choice of inputs sees a sensor without reading, and where it is held out, a model without it is used"
     )
 
 
 def _spikes(spikes: Sequence[Finding], repair: bool) -> str:
     worst = max(spikes, key=lambda f: abs(f.size_K))
-    times = join([f"{f.start_s / HOUR_S:.2f} h" for f in spikes[:4]]) if len(spikes) <= 4 else "in all its length"
-    done = "Rebuilt from healthy sensors" if repair else "Used as read, for repair is switched off"
+    times = join([f"{f.start_s / HOUR_S:.2f} h" for f in spikes[:4]]) if len(spikes) <= 4 else "over its whole length"
+    done = "Rebuilt from healthy sensors" if repair else "Used as read, because repair is switched off"
     return f"{len(spikes)} spikes at {times}, the largest {worst.size_K:+.2f} K ({_evidence(worst)}). {done}"
 
 

@@ -146,7 +146,7 @@ def sensor_curve(
     best = enough(points)
     shares = None if stop() else _shares(summaries, best, score, weights_um)
     if shares is None:
-        notes.append("campaigns were not drawn anew: that would take too long, or the search was stopped")
+        notes.append("campaigns were not resampled: that would take too long, or the search was stopped")
     return SensorCurve(states.axis, score, tuple(s.name for s in summaries), tuple(points), best, shares, tuple(notes))
 
 

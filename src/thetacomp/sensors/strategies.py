@@ -175,7 +175,7 @@ def mutual_irrelevance(
             r = 1.0 if sensor == chosen else float(abs(correlation[names.index(sensor), names.index(chosen)]))
             others = ", ".join(s for s in group if s != chosen)
             if sensor != chosen:
-                reason = f"tells the same as {chosen} (all pairs |r| ≥ {threshold:.2f})"
+                reason = f"has the same information as {chosen} (all pairs |r| ≥ {threshold:.2f})"
             elif len(group) == 1:
                 reason = (
                     f"|r| below {threshold:.2f} with part of every other group" if len(groups) > 1 else "the only one"

@@ -91,7 +91,7 @@ def _chain_note(machine: Machine, with_angles: bool) -> str:
         "measured angles act over the arms of the axes behind them and of the tool"
         if with_angles
         else "no angles were measured (rA_urad, rB_urad, rC_urad at every point): tilts that stay the same along an"
-        " axis are in the slopes, what an axis turns along its own travel is left out"
+        " axis are in the slopes, rotation of an axis along its own travel is left out"
     )
     return (
         "joint form: drift is counted once for each direction; the axes are taken in the order of machine.toml,"
@@ -106,6 +106,6 @@ def _refusals(campaigns: Sequence[Campaign], reasons: dict[str, str | None]) -> 
         return ()
     why = "; ".join(f"{name}: {reason}" for name, reason in reasons.items() if reason)
     return (
-        f"positions of other axes ({', '.join(carrying)}) are not used, every axis is modelled on its own ({why}): an"
-        " intercept holds the tilt of the other axes at those positions, and a volumetric prediction is not possible",
+        f"positions of other axes ({', '.join(carrying)}) are not used, every axis is modelled alone ({why}): an"
+        " intercept includes the tilt of the other axes there, and a volumetric prediction is not possible",
     )

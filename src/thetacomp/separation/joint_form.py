@@ -158,7 +158,7 @@ def _drift_means(
     lacking = [a.name for a in chain if a.name not in drift.at_mm or not np.isfinite(drift.at_mm[a.name]).all()]
     if lacking:
         return None, [
-            f"campaign {campaign.name}: drift.csv is left out, it does not say where the axes stood"
+            f"campaign {campaign.name}: drift.csv is left out, it lacks the positions of the axes"
             f" ({', '.join(f'at_{name}_mm' for name in lacking)})"
         ]
     at_mm = {a.name: drift.at_mm[a.name] for a in chain}

@@ -58,13 +58,13 @@ def other_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
 def all_motion(campaign: Campaign, start_s: float, end_s: float) -> list[str]:
     """What ran during an axis test, as far as duty.csv says."""
     if campaign.duty is None or not any(moving(name) for name in campaign.duty.columns):
-        return ["duty.csv does not tell what moved between the visits: the heat cannot be put down to this axis."]
+        return ["duty.csv does not show what moved between the visits: the heat cannot be attributed to this axis."]
     inside = in_force(campaign.duty.t_s, start_s, end_s)
     top = {n: float(np.nanmax(np.abs(v[inside]), initial=0.0)) for n, v in campaign.duty.columns.items() if moving(n)}
     ran = [f"{name} up to {value:g}" for name, value in top.items() if value > 0]
     if not ran:
         return ["Nothing moved between the visits (duty.csv): this is drift, not distortion by a moving axis."]
-    return [f"Meanwhile: {', '.join(ran)}. The distortion holds all the heat of that time."]
+    return [f"Meanwhile: {', '.join(ran)}. The distortion includes all the heat of that time."]
 
 
 def ambient_words(campaign: Campaign, ambient: Sequence[str], start_s: float, end_s: float) -> str:

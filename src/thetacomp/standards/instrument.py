@@ -36,6 +36,6 @@ class Instrument:
     def statement(self) -> str:
         """The instrument and its uncertainty in words."""
         if self.u_um is None:
-            return "not stated: campaign.toml has no instrument_u_um, so no uncertainty stands beside the results"
+            return "not stated: campaign.toml has no instrument_u_um, so no uncertainty is stated with the results"
         per_m = f" + {self.u_um_per_m:g} µm/m" if self.u_um_per_m else ""
         return f"{self.name or 'instrument'}, U(k = 2) of one reading {self.u_um:g} µm{per_m}"

@@ -132,7 +132,7 @@ def positioning(readings: Readings, travel_mm: float | None = None) -> Positioni
     if abs(drift_um) > figures.R_um / 4:
         remarks += (
             f"From the first run to the last the deviations moved by {drift_um:.1f} µm on average: the machine or the"
-            " instrument was not settled, and R and A hold this drift.",
+            " instrument was not settled, and R and A include this drift.",
         )
     return Positioning(used, targets, figures, drift_um, remarks, _span_s(readings, used))
 
@@ -276,7 +276,7 @@ def _remarks(runs: Runs, travel_mm: float | None) -> tuple[str, ...]:
         )
     elif travel_mm is not None and travel_mm > LONG_AXIS_MM:
         remarks.append(
-            f"The axis is {travel_mm:g} mm long: all figures hold for the section from {runs.target_mm[0]:g} to"
+            f"The axis is {travel_mm:g} mm long: all figures are valid for the section from {runs.target_mm[0]:g} to"
             f" {runs.target_mm[-1]:g} mm, not for the whole axis."
         )
     if length <= LONG_AXIS_MM and per_m < TARGETS_PER_M:

@@ -175,10 +175,10 @@ def _lag_s(t_s: Floats, source: Floats, sensor: Floats, same: bool, rises_K: Flo
     if same:
         return 0.0, ""
     if not np.min(rises_K) >= SMALL_RISE_K:
-        return NAN, f"rise of sensor or source below {SMALL_RISE_K:g} K: no lag can be told"
+        return NAN, f"rise of sensor or source below {SMALL_RISE_K:g} K: the lag is unknown"
     good = np.isfinite(source) & np.isfinite(sensor)
     if np.count_nonzero(good) < 5:
-        return NAN, "fewer than 5 common readings: no lag can be told"
+        return NAN, "fewer than 5 common readings: the lag is unknown"
     t, u, y = t_s[good], source[good], sensor[good]
     behind, ahead = first_order_lag(t, u, y), first_order_lag(t, y, u)
     # A sensor can sit nearer to the heat than the one named for the source: then it leads, and its lag is negative.
@@ -188,7 +188,7 @@ def _lag_s(t_s: Floats, source: Floats, sensor: Floats, same: bool, rises_K: Flo
     if fit.r_squared < FOLLOWS_R_SQUARED:
         return NAN, f"does not follow its source (R² {fit.r_squared:.2f} with a first-order lag)"
     if fit.at_limit:
-        return NAN, "lag longer than the record can tell"
+        return NAN, "lag longer than the record can show"
     step_s = float(np.median(np.diff(t)))
     if fit.lag_s < step_s:
         return lag_s, f"sampling of {step_s / 60:.3g} min is too coarse for a lag below that"

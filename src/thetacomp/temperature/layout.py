@@ -104,9 +104,7 @@ def _redundancy(folder: MachineFolder) -> LayoutCheck:
     passed = not thin and len(machine.sensors) > needed
     words = []
     if thin:
-        words.append(
-            f"Fewer than two sensors on an axis: {', '.join(thin)}; no other can stand in when that one fails."
-        )
+        words.append(f"Fewer than two sensors on an axis: {', '.join(thin)}; no other can replace it when it fails.")
     else:
         words.append("Every axis has at least two sensors.")
     if len(machine.sensors) <= needed:

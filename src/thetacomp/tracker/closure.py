@@ -224,8 +224,8 @@ def _undecided(names: list[str], readings: Foundation, network: Network) -> Trac
     return TrackerDoubt(
         "foundation-moved",
         f"the foundation targets {', '.join(names)} moved against each other: {size[worst]:.0f} µm remain at"
-        f" {readings.target[worst]} ({readings.t_s[worst] / 3600:.2f} h). Which of them moved cannot be told, so"
-        " none was left out: the ties of this campaign are wrong by about as much.",
+        f" {readings.target[worst]} ({readings.t_s[worst] / 3600:.2f} h). It is not clear which of them moved,"
+        " so none was left out: the ties of this campaign are wrong by about as much.",
         "check how they are fastened; five or more targets show which one moved.",
     )
 

@@ -184,7 +184,7 @@ def _tie(
         alone = TrackerDoubt(
             "no-foundation",
             "there are no foundation targets (rows without an axis): a tracker that sinks or turns during the day"
-            " cannot be told from a machine that drifts, and no interval holds it.",
+            " cannot be distinguished from a machine that drifts, and no interval includes it.",
             "measure at least three fixed targets on the foundation before and after every round of sweeps.",
         )
         eye = np.broadcast_to(np.eye(3), (len(xyz_mm), 3, 3))

@@ -17,17 +17,17 @@ def describe(tie: TrackerTie, axes: Sequence[str], left_out: int) -> tuple[str, 
         f"the machine frame was fitted once, on {tie.cold_points} points of the cold block (axes {', '.join(axes)}),"
         f" without scale: residual RMS {tie.frame_rms_um:.1f} µm, largest {tie.frame_largest_um:.1f} µm{gross}",
         f"scale on the cold block {tie.scale_um_per_m:+.1f} ± {tie.scale_se_um_per_m:.1f} µm/m (standard error),"
-        " measured against commanded: told, not applied; it stays in the geometry",
+        " measured against commanded: reported, not applied; it stays in the geometry",
     ]
     for item in tie.closures:
         moved = ", ".join(f"{value:+.0f} ± {se:.0f}" for value, se in zip(item.moved_um, item.moved_se_um, strict=True))
         motion = (
             f"the tracker moved by {moved} µm (machine X, Y, Z, standard error) from the first round to the last;"
-            " this was taken out"
+            " this was removed"
             if item.rounds > 1
-            else "one round only: a motion during the sweeps of this station is not seen"
+            else "one round only: a motion during the sweeps of this station is not noticed"
         )
-        wider = f"; {item.excess:.1f} times the stated uncertainty, the intervals hold it" if item.excess > 1 else ""
+        wider = f"; {item.excess:.1f} times the stated uncertainty, the intervals include it" if item.excess > 1 else ""
         notes.append(
             f"station {item.station}: {item.rounds} rounds of {item.targets} foundation targets, closure RMS"
             f" {item.rms_um:.1f} µm, largest {item.largest_um:.1f} µm ({item.largest_target} at"
@@ -35,7 +35,7 @@ def describe(tie: TrackerTie, axes: Sequence[str], left_out: int) -> tuple[str, 
         )
     if not tie.closures:
         notes.append(
-            "no foundation targets were measured: a motion of the tracker cannot be told from the drift of the machine"
+            "no foundation targets were measured: motion of the tracker cannot be separated from drift of the machine"
         )
     return tuple(notes)
 

@@ -52,8 +52,8 @@ def _untied(readings: Foundation, own: Sequence[Round], station: str, rotation: 
     if not own:
         return FrameError(
             "foundation-missing",
-            f"station {station} has machine points but no foundation targets (rows without an axis): its place against"
-            " the other stations, and whether it sank, cannot be told from the machine, which itself moves with heat.",
+            f"station {station} has machine points but no foundation targets (rows without an axis): its position"
+            " relative to the other stations, and whether it sank, cannot be found from the machine: heat moves it.",
             fix,
         )
     best = max(own, key=lambda item: len({readings.target[i] for i in item.rows.tolist()}))
@@ -237,7 +237,7 @@ def unbracketed(rounds: Sequence[Round], t_s: Floats, station: Sequence[str]) ->
                         "foundation-not-bracketed",
                         f"the machine point of station {name} at {moment / 3600:.2f} h was measured"
                         f" {gap_s / 3600:.1f} h {which} round of foundation targets: a motion of the tracker in that"
-                        " time is not seen, and no interval holds it.",
+                        " time is not noticed, and no interval includes it.",
                         "measure the foundation targets before the first sweep and after the last one.",
                     )
                 )

@@ -51,7 +51,7 @@ def acceptance_checks(
                 f"{label}: campaigns",
                 float(len({int(c) for r in own for c in r.campaign})),
                 MIN_CAMPAIGNS,
-                "one campaign cannot tell heat from time: at least two, with another duty, and each held out whole",
+                "one campaign cannot separate heat from time: at least two, with different duty, each held out whole",
             )
         )
     checks += _no_harm(rows)
@@ -110,13 +110,13 @@ def _reductions(label: str, own: Sequence[Residuals]) -> list[AcceptanceCheck]:
             f"{label}: residual RMS / uncompensated RMS, held out",
             after / before if before > 0 else float("nan"),
             MAX_RESIDUAL_RATIO,
-            "the model takes away at least half of the error on data it has not seen",
+            "the model removes at least half of the error on data it has not seen",
         ),
         _at_most(
             f"{label}: residual RMS / residual RMS of the clock, held out",
             after / clock if clock > 0 else float("nan"),
             MAX_CLOCK_RATIO,
-            "the temperatures know clearly more than a clock; otherwise the model has learnt the warm-up curve",
+            "the temperatures are clearly better than a clock; otherwise the model has learnt the warm-up curve",
         ),
     ]
 
@@ -216,7 +216,7 @@ def _coverage(rows: Sequence[ValidationRow]) -> list[AcceptanceCheck]:
             "worst component: held-out points inside the 95 % interval, percent",
             worst.coverage_percent,
             MIN_COVERAGE_PERCENT,
-            f"the stated uncertainty can be believed; the worst is {worst.component} ({worst.split} held out)",
+            f"the stated uncertainty can be trusted; the worst is {worst.component} ({worst.split} held out)",
         )
     ]
 

@@ -57,7 +57,7 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "relation": (
         "no constant share of the correction explains the residual: the relation between temperatures and error is not"
         " that of the run with compensation off (another cooling mode, another duty, a sensor moved or swapped)",
-        "compare cooling, duty and sensors of both runs; measure with compensation off in that mode, and fit anew.",
+        "compare cooling, duty and sensors of both runs; measure with compensation off in that mode, and fit again.",
     ),
 }
 
@@ -82,7 +82,7 @@ def checks(
         label = f"axis {axis}" if axis else "drift"
         out.append(
             Check(
-                f"{label}: RMS on / RMS off at like heat",
+                f"{label}: RMS on / RMS off at equal heat",
                 ratio <= MAX_RESIDUAL_RATIO,
                 f"{ratio:.2f}",
                 f"≤ {MAX_RESIDUAL_RATIO:g}",
@@ -129,9 +129,9 @@ def causes(
     if not out:
         failures = "; ".join(f"{check.name}: {check.found}" for check in checked if not check.passed)
         text = (
-            "no wrong sign or size of the correction can be told, so the model does not follow this run well"
+            "no wrong sign or size of the correction is visible, so the model does not follow this run well"
             if shares
-            else "without an error that the temperatures explain no cause can be told"
+            else "without an error that the temperatures explain, no cause can be found"
         )
         fix = "look at the figures by position and time; train with this kind of duty as well, and verify again."
         out.append(Cause("model", (), f"{text} ({failures})", fix))

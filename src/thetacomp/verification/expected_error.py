@@ -38,7 +38,9 @@ def expected_from_fit(
     except AnalysisError as exc:
         return tuple(_nothing(len(s.value_um)) for s in states.samples), (f"{label}: {exc}",)
     if not model.inputs:
-        note = f"{label}: no sensor explains the error of the run with compensation off; it is not brought to like heat"
+        note = (
+            f"{label}: no sensor explains the error of the run with compensation off; it is not converted to equal heat"
+        )
         return tuple(_nothing(len(s.value_um)) for s in states.samples), (note,)
     out = []
     for name, samples in zip(states.components, states.samples, strict=True):
@@ -62,7 +64,7 @@ def expected_from_model(
         law = model.in_use.get(states.axis)
         known = None if law is None else law.components.get(component)
         if known is None or not known.predicted:
-            notes.append(f"{component}: the model does not predict it; what remains of it is not the model's fault")
+            notes.append(f"{component}: the model does not predict it; its residual is not caused by the model")
             out.append(expected)
             continue
         for number, name in enumerate(states.campaigns):

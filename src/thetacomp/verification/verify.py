@@ -155,7 +155,7 @@ def _pairs(
                 pair = without_expectation(pair[0]), without_expectation(pair[1])
             pairs[component] = pair
     if not pairs:
-        raise AnalysisError("neither run holds heated states. Fix: measure sweeps after the cold block as well.")
+        raise AnalysisError("neither run has heated states. Fix: measure sweeps after the cold block as well.")
     return pairs, notes
 
 
@@ -219,6 +219,6 @@ def _unstated(runs: tuple[list[Campaign], list[Campaign]]) -> list[str]:
     if any(c.settings.instrument_u_um is None for c in campaigns):
         notes.append(
             "the uncertainty of a point (instrument_u_um) is not stated in every campaign: small errors are judged by"
-            " their scatter alone"
+            " their scatter only"
         )
     return notes
