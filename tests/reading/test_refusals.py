@@ -10,7 +10,6 @@ import openpyxl
 import pandas as pd
 import pytest
 from machine_folders import MACHINE_TOML, csv_text, small_machine, temperature_rows, valid_files, write_files
-from thetacomp.reading.lone import read_positions, read_temperatures
 
 from thetacomp.campaign import CampaignSettings
 from thetacomp.errors import InputError, Problem
@@ -18,6 +17,7 @@ from thetacomp.reading import check_folder, read_correlations
 from thetacomp.reading.columns import ANY_SENSORS
 from thetacomp.reading.frames import read_frames
 from thetacomp.reading.problems import ProblemList
+from thetacomp.reading.single_tables import read_positions, read_temperatures
 from thetacomp.reading.sources import from_columns, read_source
 from thetacomp.reading.tables import load
 
