@@ -111,6 +111,8 @@ def fresh_folder(place: Path, own: Sequence[str]) -> Iterator[Path]:
                 if left.exists():  # the old folder: a file that was added at the last moment is kept too
                     carry_over(left, place, own)
     finally:
+        if old.exists() and not place.exists():
+            old.rename(place)  # the exchange was ended between its two renames
         # After the exchange the name of the fresh folder holds the old one.
         for left in (fresh, old):
             _remove(left)

@@ -208,3 +208,13 @@ def test_a_damaged_covariance_of_format_1_is_refused(tmp_path: Path) -> None:
     path.write_text(json.dumps(raw), encoding="utf-8")
     with pytest.raises(ModelFileError, match="a variance is below zero"):
         load_model(path)
+
+
+@pytest.mark.parametrize("value", ["12", True])
+def test_a_text_or_a_truth_value_is_no_number(value: object, tmp_path: Path) -> None:
+    raw = json.loads(load_model(DATA / "key_points.json").to_json())
+    path = tmp_path / "model.json"
+    place = ("control", "Y", "components", "EYY", "terms", 0, "coefficients", 0)
+    path.write_text(json.dumps(changed(raw, place, value)), encoding="utf-8")
+    with pytest.raises(ModelFileError, match=r"control\.Y\.components\.EYY\.terms\.0\.coefficients\.0"):
+        load_model(path)

@@ -215,7 +215,7 @@ def test_every_sensor_waits_for_its_commissioning(written: Path) -> None:
 def test_odd_texts_come_back_from_campaign_toml(tmp_path: Path) -> None:
     import tomllib
 
-    odd = 'chiller "on"\\ 20 °C – 冷却\n# as in production'
+    odd = 'chiller "on"\\ 20 °C – 冷却 # as in production'
     text = tables.campaign_toml(make_timetable(mill(), replace(SHORT, mode=odd, instrument=odd)))
     assert tomllib.loads(text)["mode"] == odd
 

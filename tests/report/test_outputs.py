@@ -64,6 +64,27 @@ def test_new_results_replace_the_old_and_leave_what_is_the_users(
     assert leftovers(tmp_path) == []
 
 
+@pytest.mark.parametrize("error", [PermissionError(13, "in use"), KeyboardInterrupt()], ids=["in use", "Ctrl-C"])
+def test_a_failure_between_two_renames_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    out, real = tmp_path / "results", Path.rename
+    fill(out, FIRST)
+    files.write_files(out, MINE)
+
+    def rename(self: Path, target: Path) -> Path:
+        if target == out and not self.name.endswith("-old"):
+            raise error
+        return real(self, target)
+
+    monkeypatch.setattr(folder_exchange, "_swap", lambda a, b: False)
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises((OutputError, KeyboardInterrupt)):
+        fill(out, SECOND)
+    assert contents(out) == {**FIRST, **MINE}
+    assert leftovers(tmp_path) == []
+
+
 def test_an_error_in_the_work_changes_nothing(tmp_path: Path) -> None:
     fill(tmp_path / "results", FIRST)
 

@@ -42,7 +42,7 @@ def test_files_of_a_trial() -> None:
     ]  # fmt: skip
     page = str(files["trial.html"])
     assert page.count("<svg") == 2
-    assert "no fault was looked for" in page
+    assert "faults were not searched for" in page
     assert "(3 measured values used, 0 refused by the gate, 1 lost)" in page
     table = list(csv.DictReader(io.StringIO(str(files["monthly.csv"]))))
     assert len(table) == 2 * len(COLUMNS) * 4

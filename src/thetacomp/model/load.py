@@ -27,7 +27,7 @@ def load_model(path: Path) -> ModelDocument:
     raw = _parsed(path)
     if not isinstance(raw, dict) or raw.get("kind") != "thetacomp model":
         raise ModelFileError(f"{path}: this JSON file is not a thetacomp model (no kind 'thetacomp model').")
-    known: dict[int, Callable[[Any], ModelDocument]] = {1: from_format_1, FORMAT: ModelDocument.model_validate}
+    known: dict[int, Callable[[Any], ModelDocument]] = {1: from_format_1, FORMAT: _from_format_2}
     found = raw.get("format")
     if type(found) is not int or found not in known:
         raise ModelFileError(
@@ -47,6 +47,11 @@ def load_model(path: Path) -> ModelDocument:
     if faults:
         _refuse(path, faults[0], len(faults))
     return model
+
+
+def _from_format_2(raw: Any) -> ModelDocument:
+    # As JSON, so that "12" and true are no numbers, while a list is still a tuple.
+    return ModelDocument.model_validate_json(json.dumps(raw), strict=True)
 
 
 def _refuse(path: Path, fault: str, count: int) -> NoReturn:
