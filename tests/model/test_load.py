@@ -135,6 +135,7 @@ COMPONENT = (*LAW, "components", "EYY")
     ("place", "value", "words"),
     [
         ((*COMPONENT, "terms", 0, "constant"), 1e308, "terms.0.constant: 1e+308 is larger than anything"),
+        ((*COMPONENT, "terms", 0, "constant"), -1e308, "terms.0.constant: -1e+308 is larger than anything"),
         ((*COMPONENT, "terms", 0, "constant"), 1e9, "control.Y: EYY: intercept: 1e+09 is an error that no machine has"),
         ((*COMPONENT, "terms", 1, "coefficients"), [1e6], "control.Y: EYY: slope: 1e+06 is an error"),
         ((*COMPONENT, "terms", 1, "coefficients"), [], "EYY: some of its terms have no coefficients"),
