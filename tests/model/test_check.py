@@ -101,3 +101,40 @@ def test_a_half_span_of_zero_leaves_an_input_out_and_one_below_zero_is_refused()
     for first, words in ((0.0, ""), (1e-15, ""), (1e-16, "a half span below zero"), (-1.0, "a half span below zero")):
         given = found("heat_history", {(*DISTANCE, "half_span"): [first, *whole.half_span[1:]]})
         assert words in " ".join(given) if words else given == []
+
+
+@pytest.mark.parametrize("lacking", [("leverage",), ("border",), ("leverage", "border")])
+def test_a_fallback_on_other_inputs_brings_its_own_leverage_and_border(lacking: tuple[str, ...]) -> None:
+    """It stands on `b`, the law on `a`: nothing of the law can be seen in its inputs."""
+    model = load_model(DATA / "key_points.json")
+    assert problems(model) == []
+    law = model.control["Y"]
+    changed = law.fallbacks[0].model_copy(update=dict.fromkeys(lacking))
+    broken = model.model_copy(update={"control": {"Y": law.model_copy(update={"fallbacks": (changed,)})}})
+    assert problems(broken) == [
+        "control.Y: fallback for a: no leverage or border, and its inputs are not those that are left"
+    ]
+
+
+@pytest.mark.parametrize(
+    "layout", [{"time_constants_s": (60.0,)}, {"speed_powers": (3,)}, {"sensors": ("somewhere else",)}]
+)
+def test_a_fallback_that_borrows_has_the_filters_of_the_law(layout: dict[str, Any]) -> None:
+    model = load_model(DATA / "heat_history.json")
+    law = model.prediction["Y"]
+    borrows = next(one for one in law.fallbacks if one.leverage is None and one.border is None)
+    changed = borrows.model_copy(update={"layout": borrows.layout.model_copy(update=layout)})
+    broken = model.model_copy(update={"prediction": {"Y": law.model_copy(update={"fallbacks": (changed,)})}})
+    assert problems(model) == []
+    assert "no leverage or border, and its inputs are not those that are left" in " ".join(problems(broken))
+
+
+def test_the_box_of_training_holds_the_sensors_of_the_fallbacks_too() -> None:
+    model = load_model(DATA / "key_points.json")
+    law = model.control["Y"]
+    ready = law.fallbacks[0].border
+    assert ready is not None
+    found = model.trained
+    assert found.temperature_degC == {**law.border.temperature_degC, **ready.temperature_degC}
+    assert found.rise_K == {**law.border.rise_K, **ready.rise_K}
+    assert set(found.temperature_degC) == set(found.rise_K) == {"a", "b"}

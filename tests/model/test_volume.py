@@ -22,6 +22,7 @@ from thetacomp.errors import AnalysisError, InputError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.key_point_law import fit_axis
 from thetacomp.fitting.rotations import with_joint_form
+from thetacomp.machine import WantedLength
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of
 from thetacomp.model.band import Band
 from thetacomp.model.document import ModelDocument
@@ -329,3 +330,38 @@ def test_a_band_without_a_quantile_holds_no_known_reading() -> None:
     found = predict_volume(model.model_copy(update={"control": control}), warm(), np.array([100.0]), positions)
     assert np.isnan(found.upper_um).all()
     assert np.isfinite(found.error_um).all()
+
+
+def test_a_bend_goes_on_along_its_tangent_beyond_the_ram() -> None:
+    """W runs along +Z and stands at u = -0.6 m; 0.2 m more tool make an arm of -0.8 m across, none along.
+
+    Bends of 1, 7, 5 µm/m²: u² = 0.36 along; u² + 2 u (arm - u) = 0.36 + 0.24 across.
+    """
+    given = replace(parts(), bends_um_per_m2={"W": np.array([[1.0, 7.0, 5.0]])})
+    error, _ = volume_error(CHAIN, given, at(1000, 800, 400 - 600), np.array([200.0]))
+    np.testing.assert_allclose(error, [[0.6, 4.2, 5.0 * 0.36]])
+    error, _ = volume_error(CHAIN, given, at(1000, 800, 400 + 600), np.array([0.0]))
+    np.testing.assert_allclose(error, [[0.36, 7.0 * 0.36, 5.0 * 0.36]])
+
+
+def test_what_a_longer_tool_leans_with_is_told() -> None:
+    positions, longer = {"X": np.array([700.0]), "W": np.array([400.0])}, np.array([700.0])
+    drift = small().control[""]
+    angles = {name: drift.components[f"D{d}"] for name, d in (("DA", "X"), ("DB", "Y"), ("DC", "Z"))}
+    measured = small().model_copy(update={"rotations": {"": drift.model_copy(update={"components": angles})}})
+    for model, lean in (
+        (small(), "a longer tool is assumed to tilt with the guide of W (no angles were measured)"),
+        (measured, "the measured angles act on the change of the tool length"),
+    ):
+        assert predict_volume(model, warm(), np.array([100.0]), positions, longer).lean == lean
+        assert predict_volume(model, warm(), np.array([100.0]), positions).lean == ""
+
+
+def test_a_volume_that_follows_the_workpiece_gains_its_growth_along_each_axis() -> None:
+    """11.5e-6 /K · 10 K · 0.2 m = 23 µm in X and -11.5 µm at -0.1 m in W, taken off the error; Y has no axis."""
+    follow = WantedLength(wanted="workpiece", workpiece_expansion_per_K=11.5e-6, workpiece_sensor="a")
+    positions = {"X": np.array([700.0]), "W": np.array([400.0])}
+    plain = predict_volume(small(), warm(), np.array([100.0]), positions)
+    found = predict_volume(small().model_copy(update={"length": follow}), warm(), np.array([100.0]), positions)
+    np.testing.assert_allclose(found.error_um - plain.error_um, [[-23.0, 0.0, 11.5]], atol=1e-9)
+    np.testing.assert_allclose(found.upper_um - found.error_um, plain.upper_um - plain.error_um)
