@@ -208,3 +208,10 @@ def test_a_damaged_covariance_of_format_1_is_refused(tmp_path: Path) -> None:
     path.write_text(json.dumps(raw), encoding="utf-8")
     with pytest.raises(ModelFileError, match="a variance is below zero"):
         load_model(path)
+
+
+def test_a_saved_model_has_rows_of_numbers_and_empty_lists_on_one_line() -> None:
+    text = load_model(DATA / "key_points.json").to_json()
+    for part in ('"speed_powers": [],', '"scale": [1.0],', '"directions": [\n          [1.0]\n        ],'):
+        assert part in text
+    assert '"prediction": {},' in text
