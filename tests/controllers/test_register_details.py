@@ -26,7 +26,7 @@ from thetacomp.controllers.replay import (
     replay,
     sample_and_hold,
 )
-from thetacomp.controllers.sinumerik import RegisterPlan, ReplaySettings, SinumerikSettings, plan_registers
+from thetacomp.controllers.sinumerik import RegisterPlan, plan_registers
 from thetacomp.controllers.sinumerik_files import (
     law_in_digits,
     number,
@@ -47,6 +47,7 @@ from thetacomp.controllers.sinumerik_replay import (
     CampaignReplay,
     replay_campaign,
 )
+from thetacomp.controllers.sinumerik_settings import ReplaySettings, SinumerikSettings
 from thetacomp.controllers.sinumerik_signtest import sign_tests
 from thetacomp.errors import InputError
 from thetacomp.machine import WantedLength

@@ -26,7 +26,6 @@ from thetacomp.controllers.replay import (
     replay,
     sample_and_hold,
 )
-from thetacomp.controllers.sinumerik import ReplaySettings, SinumerikSettings
 from thetacomp.controllers.sinumerik_replay import (
     CLAMP,
     ENTRY,
@@ -37,6 +36,7 @@ from thetacomp.controllers.sinumerik_replay import (
     CampaignReplay,
     replay_campaign,
 )
+from thetacomp.controllers.sinumerik_settings import ReplaySettings, SinumerikSettings
 from thetacomp.errors import AnalysisError
 from thetacomp.model.document import ModelDocument
 

@@ -18,8 +18,9 @@ from typer.testing import CliRunner
 
 from thetacomp.cli.main import app
 from thetacomp.controllers.ascii_text import ascii_names, ascii_text
-from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
+from thetacomp.controllers.sinumerik import plan_registers
 from thetacomp.controllers.sinumerik_remarks import differing
+from thetacomp.controllers.sinumerik_settings import SinumerikSettings
 from thetacomp.errors import InputError
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.law import component_laws

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from thetacomp.arrays import Floats
-from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
+from thetacomp.controllers.sinumerik import plan_registers
+from thetacomp.controllers.sinumerik_settings import SinumerikSettings
 from thetacomp.controllers.sinumerik_signtest import sign_tests
 from thetacomp.errors import ModelFileError, ThetacompError
 from thetacomp.model.document import ModelDocument

@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 from thetacomp.axis_states import axis_states
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.cli.main import app
-from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
+from thetacomp.controllers.sinumerik import plan_registers
+from thetacomp.controllers.sinumerik_settings import SinumerikSettings
 from thetacomp.errors import AnalysisError, InputError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.key_point_law import fit_axis

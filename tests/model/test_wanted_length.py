@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from small_models import component, document, term
 
 from thetacomp.arrays import Floats
-from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
+from thetacomp.controllers.sinumerik import plan_registers
+from thetacomp.controllers.sinumerik_settings import SinumerikSettings
 from thetacomp.errors import AnalysisError, InputError
 from thetacomp.machine import WantedLength
 from thetacomp.model.document import ModelDocument

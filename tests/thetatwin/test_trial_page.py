@@ -8,11 +8,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from thetatwin.trial.monthly import acceptance, monthly
-from thetatwin.trial.readings import ScreenedYear
 
+from thetatwin.trial.monthly_figures import acceptance, monthly
 from thetatwin.trial.page import trial_files
 from thetatwin.trial.run import Place, Trial
+from thetatwin.trial.screened_year import ScreenedYear
 from thetatwin.year import Schedule
 
 COLUMNS = ("nothing", "frozen default", "adaptive default", "one sensor (paper)", "clock", "probes alone")

@@ -77,7 +77,7 @@ import importlib, pkgutil, sys
 
 ALLOWED = {"numpy", "pydantic", "structlog"}
 ALLOWED |= {"pydantic_core", "annotated_types", "typing_extensions", "typing_inspection"}  # what pydantic brings
-BELOW = ("machine", "errors", "arrays", "files", "table_file", "names")
+BELOW = ("machine", "errors", "arrays", "files", "table_file", "safe_names")
 ROOMS = {"thetacomp." + name for name in ("model", "controllers", *BELOW)}
 
 class Blocked:

@@ -28,7 +28,8 @@ from thetacomp.controllers.replay import (
     replay,
     sample_and_hold,
 )
-from thetacomp.controllers.sinumerik import RegisterPlan, SagTable, SinumerikSettings, plan_registers
+from thetacomp.controllers.sinumerik import RegisterPlan, SagTable, plan_registers
+from thetacomp.controllers.sinumerik_settings import SinumerikSettings
 from thetacomp.errors import AnalysisError
 from thetacomp.model.document import ModelDocument
 

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from thetacomp.arrays import Floats
 from thetacomp.controllers.base import Export, ExportFile, read_settings
-from thetacomp.controllers.sinumerik import SinumerikSettings, plan_registers
+from thetacomp.controllers.sinumerik import plan_registers
 from thetacomp.controllers.sinumerik_files import sag_tables, temperature_program, values_csv
 from thetacomp.controllers.sinumerik_remarks import remarks
 from thetacomp.controllers.sinumerik_replay import CampaignReplay, replay_campaign
+from thetacomp.controllers.sinumerik_settings import SinumerikSettings
 from thetacomp.model.document import ModelDocument
 
 CEC_FILE = "sinumerik_cec.ini"
