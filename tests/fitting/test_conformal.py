@@ -12,6 +12,7 @@ from synthetic_campaigns import LAYOUT, WINTER, inputs_of, synthetic_machine
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.conformal import (
+    FLOOR,
     HeldOut,
     attainable_level,
     calibrate_band,
@@ -199,3 +200,23 @@ def test_a_band_from_nothing_is_refused() -> None:
         calibrate_band(nothing)
     with pytest.raises(AnalysisError, match="between 0 and 1"):
         calibrate_band(nothing, level=95.0)
+
+
+@pytest.mark.parametrize("m", [9, 19, 99])
+def test_quantiles_at_the_highest_level_are_the_largest_score_and_beyond_there_is_none(m: int) -> None:
+    """One score a campaign, 1 to m: level k / (m + 1) is the k-th smallest; m / (m + 1) is the last that is proven."""
+    scores, campaign = np.arange(1.0, m + 1.0), np.arange(m)
+    assert conformal_quantile(scores, campaign, m / (m + 1)) == m
+    assert conformal_quantile(scores, campaign, (m - 2) / (m + 1)) == m - 2
+    assert conformal_quantile(scores, campaign, (m + 0.01) / (m + 1)) == np.inf
+    assert crossed_quantile(scores, campaign, m / (m + 1)) <= m
+    assert crossed_quantile(scores, campaign, (m + 0.01) / (m + 1)) == np.inf
+
+
+def test_an_input_that_never_moved_does_not_count() -> None:
+    """Two campaigns that weigh the same: scale √(½ · 1² + ½ · 3²) in the first input, none in the second."""
+    inputs, campaign = np.array([[1.0, 0.0], [-1.0, 0.0], [3.0, 1e-10]]), np.array([0, 0, 1])
+    shape = training_leverage(inputs, campaign)
+    assert shape.scale == pytest.approx((np.sqrt(5.0), 0.0))
+    # z = 2 / √5 along a direction of moment 1; the second input is left out however far it goes.
+    np.testing.assert_allclose(shape.at(np.array([[2.0, 0.0], [2.0, 50.0]])), 0.8 / (1.0 + FLOOR))

@@ -85,6 +85,18 @@ def test_one_candidate_takes_the_strength_that_brute_force_takes():
     np.testing.assert_allclose(model.coef_, expected, rtol=1e-9)
 
 
+def test_a_common_scale_is_the_root_mean_square_of_the_inputs_scales():
+    """One block, one strength: the ridge on inputs that are divided by √(mean of their variances) over the width."""
+    rng = np.random.default_rng(6)
+    x, groups = rng.normal(size=(60, 3)) * [1.0, 5.0, 0.1], np.repeat([0, 1, 2], 20)
+    y = x @ [1.0, -1.0, 30.0] + rng.normal(size=60)
+    candidate = (BlockUse("a", 2.0, "common"),)
+    model = HistoryRidge({"a": ("p", "q", "r")}, (candidate,), (0.1,)).fit(x, y, groups)
+    scale = np.sqrt(np.mean(x.var(axis=0))) / 2.0
+    expected = Ridge(alpha=0.1 * 60, fit_intercept=False).fit(x / scale, y).coef_ / scale
+    np.testing.assert_allclose(model.coef_, expected, rtol=1e-9)
+
+
 def test_campaign_held_out_inside_is_not_seen():
     x, y_um, campaign = machine()
     poisoned_x, poisoned_y = x.copy(), y_um.copy()
@@ -164,3 +176,11 @@ def test_too_few_campaigns_and_wrong_shapes_are_said():
         procedure().fit(x, y_um, np.zeros(len(x)))
     with pytest.raises(AnalysisError, match=r"inputs of 52 columns"):
         procedure().fit(x[:, :5], y_um, campaign)
+
+
+def test_targets_groups_and_inputs_that_do_not_fit_together_are_said():
+    model = HistoryRidge({"a": ("p", "q")}, ((BlockUse("a", 1.0, "each"),),))
+    with pytest.raises(AnalysisError, match=r"4 targets need as many groups .* 2 columns; found \(4,\) .*\(4, 3\)"):
+        model.fit(np.ones((4, 3)), np.ones(4), np.arange(4))
+    with pytest.raises(AnalysisError, match=r"found \(3,\) groups and \(4, 2\) inputs"):
+        model.fit(np.ones((4, 2)), np.ones(4), np.arange(3))

@@ -144,3 +144,10 @@ def test_layout_without_speed_and_wrong_layouts():
         InputLayout(sensors=("a",), base_degC=20.0).signals(np.zeros((3, 1)))
     with pytest.raises(ValidationError, match="above zero and differ"):
         InputLayout(sensors=("a",), time_constants_s=(60.0, 60.0), base_degC=20.0)
+
+
+def test_a_layout_says_from_which_temperature_its_mean_rise_counts() -> None:
+    """Plain temperatures have no product with the rise, and are written with 0; any other layout has to name it."""
+    assert InputLayout.plain(("a",)) == InputLayout(sensors=("a",), time_constants_s=(), speed_powers=(), base_degC=0.0)
+    with pytest.raises(ValidationError, match="base_degC"):
+        InputLayout.model_validate({"sensors": ["a"]})

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_models import component, document, term
 
 from thetacomp.arrays import Floats
 from thetacomp.model.document import ModelDocument
@@ -80,3 +81,22 @@ def test_the_stored_files_are_of_every_kind() -> None:
     for model in (points, history, joint):
         assert isinstance(model, ModelDocument)
         assert model.format == 2
+
+
+@pytest.mark.parametrize(
+    ("intercept", "slope", "expected"),
+    [
+        ((2.0, 4.0), (1.0, 9.0), 9.0),  # the covariance over the variance of the residuals: 4 / 2² and 9 / 1²
+        ((1.0, 9.0), (2.0, 4.0), 9.0),
+        ((0.0, 0.0), (2.0, 8.0), 2.0),  # a term without scatter says nothing
+        ((2.0, 8.0), (0.0, 0.0), 2.0),
+        ((0.0, 0.0), (0.0, 0.0), 0.0),
+    ],
+)
+def test_of_two_terms_the_wider_leverage_is_taken(
+    intercept: tuple[float, float], slope: tuple[float, float], expected: float
+) -> None:
+    """Standard deviation and variance of each term. With a covariance of c times one, h(x) = c (1 + x²)."""
+    one, two = (term(0.0, 1.0, sd=sd, variance=variance) for sd, variance in (intercept, slope))
+    law = document({"X": "+X"}, {"EXX": component("EXX", one, two, {"a": 20.0})}, {"a": (0.0, 10.0)}).control["X"]
+    np.testing.assert_allclose(law.leverage.at(np.array([[0.0], [3.0]])), [expected, 10.0 * expected])

@@ -12,7 +12,7 @@ from small_models import Part, component, document, term
 
 from thetacomp.arrays import Bools, Floats
 from thetacomp.model.check import problems
-from thetacomp.model.document import ModelDocument
+from thetacomp.model.document import ModelDocument, Term
 from thetacomp.model.law import ComponentLaw, Law, box_degC, component_laws
 from thetacomp.model.student import t_quantile
 
@@ -178,3 +178,18 @@ def test_a_fit_through_zero_has_one_residual_not_two() -> None:
         law = ComponentLaw("DX", Law(axis, np.array([20.0]), keeps_constant=False))
         expected = stats.t.ppf(0.975, 8) * 2.0 * np.sqrt(states)
         assert law.half_width_um(rises, position) == pytest.approx([expected], rel=1e-4)
+
+
+def test_slope_at_a_position_is_the_derivative() -> None:
+    """E = 3 + 5 u + 7 u² at a rise of zero: 5 + 14 u; a drift has no slope."""
+    axis = one_error().control["Y"]
+    terms = tuple(Term(constant=value, coefficients=(0.0, 0.0)) for value in (3.0, 5.0, 7.0))
+    for count, expected in ((3, [5.0 - 7.0, 5.0, 5.0 + 28.0]), (2, [5.0, 5.0, 5.0]), (1, [0.0, 0.0, 0.0])):
+        exy = axis.components["EXY"].model_copy(update={"terms": terms[:count]})
+        law = Law.of_model(axis.model_copy(update={"components": {"EXY": exy}}))
+        values = law.at(np.zeros((3, 2)), np.zeros((3, 2)))
+        u_m = np.array([-0.5, 0.0, 2.0])
+        np.testing.assert_allclose(values.slope_um_per_m("EXY", u_m), expected)
+        powers = (3.0, 5.0, 7.0)[:count]
+        np.testing.assert_allclose(values.error_um("EXY", u_m), sum(c * u_m**k for k, c in enumerate(powers)))
+        np.testing.assert_allclose([values.term(k)[0, 0] for k in range(3)], [*powers, *[0.0] * (3 - count)])

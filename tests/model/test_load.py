@@ -136,6 +136,7 @@ COMPONENT = (*LAW, "components", "EYY")
     ("place", "value", "words"),
     [
         ((*COMPONENT, "terms", 0, "constant"), 1e308, "terms.0.constant: 1e+308 is larger than anything"),
+        ((*COMPONENT, "terms", 0, "constant"), -1e308, "terms.0.constant: -1e+308 is larger than anything"),
         ((*COMPONENT, "terms", 0, "constant"), 1e9, "control.Y: EYY: intercept: 1e+09 is an error that no machine has"),
         ((*COMPONENT, "terms", 1, "coefficients"), [1e6], "control.Y: EYY: slope: 1e+06 is an error"),
         ((*COMPONENT, "terms", 1, "coefficients"), [], "EYY: some of its terms have no coefficients"),
@@ -218,3 +219,10 @@ def test_a_text_or_a_truth_value_is_no_number(value: object, tmp_path: Path) -> 
     path.write_text(json.dumps(changed(raw, place, value)), encoding="utf-8")
     with pytest.raises(ModelFileError, match=r"control\.Y\.components\.EYY\.terms\.0\.coefficients\.0"):
         load_model(path)
+
+
+def test_a_saved_model_has_rows_of_numbers_and_empty_lists_on_one_line() -> None:
+    text = load_model(DATA / "key_points.json").to_json()
+    for part in ('"speed_powers": [],', '"scale": [1.0],', '"directions": [\n          [1.0]\n        ],'):
+        assert part in text
+    assert '"prediction": {},' in text

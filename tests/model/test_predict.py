@@ -16,9 +16,11 @@ from typer.testing import CliRunner
 from thetacomp.arrays import Floats
 from thetacomp.cli.main import app
 from thetacomp.errors import AnalysisError
-from thetacomp.model.document import ModelDocument
+from thetacomp.model.document import ModelDocument, Term
+from thetacomp.model.filters import InputLayout
+from thetacomp.model.leverage import Leverage
 from thetacomp.model.prediction import Reference, predict
-from thetacomp.model.temperatures import Temperatures
+from thetacomp.model.temperatures import Duty, Temperatures
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,53 @@ def test_what_cannot_be_answered_is_told(wanted: tuple[float, str, float], refer
         predict(model(), temperatures(), rows(wanted), reference)
     assert words in str(caught.value)
     assert "Fix:" in str(caught.value)
+
+
+def follows_the_speed() -> ModelDocument:
+    """EXX is 5 µm for each 1000 rpm of the spindle's speed, lagged by 600 s, and nothing else."""
+    static = model().control["X"]
+    term_um = Term(coefficients=(0.0, 0.0, 5.0, 0.0))
+    exx = static.components["EXX"].model_copy(update={"terms": (term_um, Term(coefficients=(0.0,) * 4))})
+    changed = {
+        "layout": InputLayout(sensors=("a",), time_constants_s=(600.0,), speed_powers=(1,), base_degC=20.0),
+        "reference": static.reference.model_copy(update={"inputs": (20.0, 0.0, 0.0, 0.0)}),
+        "leverage": Leverage((0.0,) * 4, (1.0,) * 4, (), (), floor=1.0),
+        "components": {"EXX": exx},
+    }
+    return model().model_copy(update={"prediction": {"X": static.model_copy(update=changed)}})
+
+
+@pytest.mark.parametrize(
+    ("first_s", "last_s", "wanted_um"),
+    [
+        (0.0, 100.0, 5.0),  # 1000 rpm before the first sample and ever since: at rest there
+        (300.0, 400.0, 0.0),
+        (0.0, 400.0, 0.0),
+        (200.0, 200.0, 5.0 * (1.0 - np.exp(-100.0 / 600.0))),  # a step at 200 s, seen at 300 s
+        (0.0, 99.0, None),
+        (301.0, 400.0, None),
+    ],
+)
+def test_a_duty_table_has_to_meet_the_temperatures_in_one_moment_at_least(
+    first_s: float, last_s: float, wanted_um: float | None
+) -> None:
+    """The temperatures run from 100 to 300 s; the spindle stands until the last row of the duty, then 1000 rpm."""
+    duty = Duty(np.array([first_s, last_s]), {"spindle_rpm": np.array([0.0, 1000.0])})
+    wanted, law = rows((300, "X", 500)), follows_the_speed()
+    if wanted_um is not None:
+        found = predict(law, temperatures(), wanted, "model", duty=duty)
+        assert found.error_um[0, 0] == pytest.approx(wanted_um, abs=1e-12)
+        return
+    words = f"from t_s = {first_s:g} to {last_s:g}, the temperatures from 100 to 300: they never meet"
+    with pytest.raises(AnalysisError, match=words):
+        predict(law, temperatures(), wanted, "model", duty=duty)
+
+
+def test_rows_up_to_one_interval_after_the_last_sample_are_answered() -> None:
+    """Samples every 100 s until 300 s: 400 s still counts, and one row that counts lets later ones stay empty."""
+    assert predict(model(), temperatures(), rows((400, "X", 500))).error_um[0, 0] == pytest.approx(60.0)
+    out = predict(model(), temperatures(), rows((100, "X", 500), (401, "X", 500)))
+    assert out.missing.tolist() == [False, True]
 
 
 def test_missing_input_column_is_told_only_where_it_is_needed() -> None:

@@ -76,3 +76,29 @@ def test_duty_that_nobody_logged_before_counts_as_standstill() -> None:
         "spindle_rpm": [500.0, 900.0],
         "feed_mm_min": [0.0, 7.0],
     }
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "missing", "bridged"),
+    [
+        (1000.0, 2, True),  # three intervals between the readings that are there
+        (1000.0, 3, False),
+        (10.0, 59, True),  # ten minutes
+        (10.0, 60, False),
+    ],
+)
+def test_a_gap_of_three_intervals_or_ten_minutes_is_bridged_and_no_longer_one(
+    interval_s: float, missing: int, bridged: bool
+) -> None:
+    """Readings rise by 1 K an interval, so a bridge lies on that line; the same holds after the last reading."""
+    t_s, value = interval_s * np.arange(100.0), np.arange(100.0)
+    gap = slice(20, 20 + missing)
+    read = value.copy()
+    read[gap] = NAN
+    found = Temperatures(t_s, ("a",), read[:, None]).at(t_s)[:, 0]
+    expected = np.where(np.isnan(read) & ~np.bool_(bridged), NAN, value)
+    np.testing.assert_allclose(found, expected)
+    limit_s = max(3.0 * interval_s, 600.0)
+    whole = Temperatures(t_s, ("a",), value[:, None])
+    after = whole.at(np.array([t_s[-1] + limit_s, t_s[-1] + limit_s + 1.0, -limit_s, -limit_s - 1.0]))
+    np.testing.assert_allclose(after[:, 0], [99.0, NAN, 0.0, NAN])

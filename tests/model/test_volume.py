@@ -6,6 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -22,7 +23,9 @@ from thetacomp.errors import AnalysisError, InputError
 from thetacomp.fitting.build import build_document
 from thetacomp.fitting.key_point_law import fit_axis
 from thetacomp.fitting.rotations import with_joint_form
+from thetacomp.machine import WantedLength
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of
+from thetacomp.model.band import Band
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.filters import InputLayout
 from thetacomp.model.prediction import predict
@@ -290,3 +293,76 @@ def test_the_form_is_kept_in_the_file(tmp_path: Path) -> None:
         raw.pop(key)
     (tmp_path / "old.json").write_text(json.dumps(raw), encoding="utf-8")
     assert load_model(tmp_path / "old.json").form == "separate"
+
+
+@pytest.mark.parametrize(("reference", "states"), [("model", 1.0), ("first_row", 2.0)])
+@pytest.mark.parametrize("noise_um", [0.0, 3.0])
+def test_the_scatter_of_one_reading_that_all_bands_hold_counts_once(
+    reference: Literal["model", "first_row"], states: float, noise_um: float
+) -> None:
+    """Quantile 2; drift 1 µm; X 5 µm and W 4 µm in the direction X, in each of which one reading scatters by noise.
+
+    In the square of the half width: the drift's own, what X and W have beside the reading, and the reading once.
+    """
+    model = small()
+    sd_um = {"": 1.0, "X": 5.0, "W": 4.0}
+    laws = {}
+    for name, law in model.control.items():
+        noise = noise_um if name else 0.0
+        band = Band(quantile=2.0, sd=(sd_um[name],), growth=0.0, noise_sd_um=noise)
+        made = {
+            key: one.model_copy(update={"band": band, "through_zero": False}) for key, one in law.components.items()
+        }
+        laws[name] = law.model_copy(update={"components": made})
+    positions = {"X": np.array([700.0]), "W": np.array([400.0])}
+    found = predict_volume(model.model_copy(update={"control": laws}), warm(), np.array([100.0]), positions,
+                           reference=reference)  # fmt: skip
+    squares = sum(states * sd**2 for sd in sd_um.values()) - noise_um**2
+    np.testing.assert_allclose((found.upper_um - found.error_um)[0, 0], 2.0 * np.sqrt(squares))
+
+
+def test_a_band_without_a_quantile_holds_no_known_reading() -> None:
+    model = small()
+    w = model.control["W"]
+    band = Band(quantile=None, sd=(1.0,), noise_sd_um=3.0)
+    made = {key: one.model_copy(update={"band": band}) for key, one in w.components.items()}
+    control = model.control | {"W": w.model_copy(update={"components": made})}
+    positions = {"X": np.array([700.0]), "W": np.array([400.0])}
+    found = predict_volume(model.model_copy(update={"control": control}), warm(), np.array([100.0]), positions)
+    assert np.isnan(found.upper_um).all()
+    assert np.isfinite(found.error_um).all()
+
+
+def test_a_bend_goes_on_along_its_tangent_beyond_the_ram() -> None:
+    """W runs along +Z and stands at u = -0.6 m; 0.2 m more tool make an arm of -0.8 m across, none along.
+
+    Bends of 1, 7, 5 µm/m²: u² = 0.36 along; u² + 2 u (arm - u) = 0.36 + 0.24 across.
+    """
+    given = replace(parts(), bends_um_per_m2={"W": np.array([[1.0, 7.0, 5.0]])})
+    error, _ = volume_error(CHAIN, given, at(1000, 800, 400 - 600), np.array([200.0]))
+    np.testing.assert_allclose(error, [[0.6, 4.2, 5.0 * 0.36]])
+    error, _ = volume_error(CHAIN, given, at(1000, 800, 400 + 600), np.array([0.0]))
+    np.testing.assert_allclose(error, [[0.36, 7.0 * 0.36, 5.0 * 0.36]])
+
+
+def test_what_a_longer_tool_leans_with_is_told() -> None:
+    positions, longer = {"X": np.array([700.0]), "W": np.array([400.0])}, np.array([700.0])
+    drift = small().control[""]
+    angles = {name: drift.components[f"D{d}"] for name, d in (("DA", "X"), ("DB", "Y"), ("DC", "Z"))}
+    measured = small().model_copy(update={"rotations": {"": drift.model_copy(update={"components": angles})}})
+    for model, lean in (
+        (small(), "a longer tool is assumed to tilt with the guide of W (no angles were measured)"),
+        (measured, "the measured angles act on the change of the tool length"),
+    ):
+        assert predict_volume(model, warm(), np.array([100.0]), positions, longer).lean == lean
+        assert predict_volume(model, warm(), np.array([100.0]), positions).lean == ""
+
+
+def test_a_volume_that_follows_the_workpiece_gains_its_growth_along_each_axis() -> None:
+    """11.5e-6 /K · 10 K · 0.2 m = 23 µm in X and -11.5 µm at -0.1 m in W, taken off the error; Y has no axis."""
+    follow = WantedLength(wanted="workpiece", workpiece_expansion_per_K=11.5e-6, workpiece_sensor="a")
+    positions = {"X": np.array([700.0]), "W": np.array([400.0])}
+    plain = predict_volume(small(), warm(), np.array([100.0]), positions)
+    found = predict_volume(small().model_copy(update={"length": follow}), warm(), np.array([100.0]), positions)
+    np.testing.assert_allclose(found.error_um - plain.error_um, [[-23.0, 0.0, 11.5]], atol=1e-9)
+    np.testing.assert_allclose(found.upper_um - found.error_um, plain.upper_um - plain.error_um)

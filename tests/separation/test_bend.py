@@ -340,6 +340,5 @@ def test_a_bend_that_contradicts_the_layout_is_refused(
     *line, bend = axis.components["EYY"].terms
     wrong = axis.components["EYY"].model_copy(update={"terms": (*line, bend.model_copy(update=change))})
     broken = {"Y": axis.model_copy(update={"components": {"EYY": wrong}, "fallbacks": ()})}
-    found = problems(analysis.model.model_copy(update={"prediction": broken}))
-    assert any(message in problem for problem in found)
-    assert all("EYY" in problem for problem in found)
+    (told,) = problems(analysis.model.model_copy(update={"prediction": broken}))
+    assert message in told

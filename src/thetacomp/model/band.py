@@ -59,7 +59,7 @@ class Band:
         scatter = first**2 + u_m * (2.0 * self.correlation * first * second + u_m * second**2)
         return self._half_width(np.maximum(scatter, 0.0), leverage, states)
 
-    def half_width_of_term(self, power: int, leverage: Floats, states: float = 1.0) -> Floats:
+    def half_width_of_term(self, power: int, leverage: Floats, states: float) -> Floats:
         """Half width (n,) of what one power of u carries, in its own unit."""
         return self._half_width(np.asarray(self.sd[power] ** 2 if power < len(self.sd) else 0.0), leverage, states)
 

@@ -152,7 +152,7 @@ def _component(component: Component, law: AxisLaw, inputs: int, sensors: int) ->
         yield "an axis without a slope, P0 or range of positions"
     for label, term in zip(TERMS, component.terms, strict=False):
         yield from _term(label, term, inputs, sensors, fades=law.border.distance is not None)
-    if len({len(term.coefficients) for term in component.terms}) > 1:
+    if len({bool(term.coefficients) for term in component.terms}) > 1:
         yield "some of its terms have no coefficients"
     if component.leverage is not None:
         yield from _leverage("leverage", component.leverage, inputs)
@@ -176,8 +176,9 @@ def _band(band: Band, terms: int) -> Iterator[str]:
         yield f"band: {len(band.sd)} standard deviations for {terms} terms"
     if min((*band.sd, band.growth, band.noise_sd_um)) < 0 or abs(band.correlation) > 1.0 + 1e-9:
         yield "band: a variance below zero"
-    if max(*band.sd, band.noise_sd_um) > LARGEST_UM:
-        yield f"band: {max(band.sd):.3g} is a scatter that no machine has"
+    largest = max((*band.sd, band.noise_sd_um))
+    if largest > LARGEST_UM:
+        yield f"band: {largest:.3g} is a scatter that no machine has"
     if min(band.knee, band.far, 1.0 if band.quantile is None else band.quantile) < SMALLEST:
         yield "band: a quantile, knee or far that is not above zero"
 

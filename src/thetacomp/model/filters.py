@@ -161,12 +161,12 @@ class InputLayout(Strict):
     sensors: tuple[str, ...]
     time_constants_s: tuple[float, ...] = (480.0, 900.0, 1800.0, 3600.0, 7200.0, 14400.0, 28800.0)
     speed_powers: tuple[int, ...] = (1, 2)
-    base_degC: float = 0.0
+    base_degC: float
 
     @classmethod
     def plain(cls, sensors: Sequence[str]) -> InputLayout:
         """Temperatures as they are: no lags, no speed."""
-        return cls(sensors=tuple(sensors), time_constants_s=(), speed_powers=())
+        return cls(sensors=tuple(sensors), time_constants_s=(), speed_powers=(), base_degC=0.0)
 
     @field_validator("time_constants_s")
     @classmethod
