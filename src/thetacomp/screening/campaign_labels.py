@@ -77,7 +77,7 @@ def labels_note(entry: HeldLabels, repair: bool) -> str:
     if entry.kept_because:
         return f"{what}; they are used as measured, because {entry.kept_because}"
     if not repair:
-        return f"{what} {why}: no measurement. Used as read, for repair is switched off"
+        return f"{what} {why}: no measurement. Used as read, because repair is switched off"
     besides = f", and {entry.removed} points of sweeps that keep too few for a line" if entry.removed else ""
     return f"{what} {why}: no measurement. Left out{besides}"
 
