@@ -259,7 +259,8 @@ def test_an_angle_without_its_sensor_is_left_out_and_named() -> None:
     found = predict_volume(with_angle, warm(), np.array([100.0]), positions, longer)
     plain = predict_volume(small(), warm(), np.array([100.0]), positions, longer)
     np.testing.assert_array_equal(found.error_um, plain.error_um)
-    assert (found.absent, found.lean) == (("DA", "DB", "DC"), plain.lean)
+    assert (found.absent, found.lost_angles, found.lean) == ((), ("DA", "DB", "DC"), plain.lean)
+    assert not found.in_domain.any()
     both = Temperatures(np.array([0.0, 100.0]), ("a", "b"), np.array([[20.0, 20.0], [30.0, 30.0]]))
     turned = predict_volume(with_angle, both, np.array([100.0]), positions, longer)
     # 1 µrad/K about X at 10 K turns 0.6 m of tool along -Z by +Y: 6 µm; the lean of W is then in the angle.

@@ -89,6 +89,11 @@ def _predict_volume(
     zero = _reference_text(moment, temperatures, model, ("", *prediction.positions_mm))
     lines = [f"  No component {', '.join(prediction.absent)}: the values of these directions are empty."]
     lines = lines * bool(prediction.absent)
+    if prediction.lost_angles:
+        lines.append(
+            f"  Without the angles {', '.join(prediction.lost_angles)}, whose sensors the table lacks: what they do over"
+            " the arms of the axes is not in the values, and no row counts as inside the training."
+        )
     if prediction.lean:
         lines.append(f"  Tool length, {model.tool_length_mm:g} mm in the measurements: {prediction.lean}.")
     return _outcome(model, prediction, ("", *prediction.positions_mm), out, zero, lines)

@@ -34,7 +34,9 @@ class VolumePrediction:
     """The predicted error of the tool `E = actual - commanded` at n positions of all axes, with 95 % bounds.
 
     `error_um`, `lower_um`, `upper_um` are (n, 3) along machine X, Y, Z; NaN where a component was not measured, a
-    temperature is missing, or (bounds only) a fit had no degree of freedom. `absent` names what was not measured.
+    temperature is missing, or (bounds only) a fit had no degree of freedom. `absent` names what was not measured,
+    `lost_angles` the angles whose sensors the table lacks: what they do over the arms is not in the values, so no row
+    counts as inside the training.
     `replaced` is as in Prediction; `lean` says what a change of the tool length was taken to do.
     """
 
@@ -48,6 +50,7 @@ class VolumePrediction:
     missing: Bools
     breaches: tuple[Breach, ...]
     absent: tuple[str, ...]
+    lost_angles: tuple[str, ...]
     lean: str
     replaced: Mapping[str, Accuracy | None]
 
@@ -73,14 +76,15 @@ def predict_volume(
     chain, seen = volume.chain, volume.seen
     _check_length(model, volume, longer_mm, place)
     error_um, half_um = volume_error(chain, volume.parts(), positions_mm, longer_mm)
-    missing = np.any([one.missing for one in seen.values()], axis=0)
+    asked = [*seen.items(), *volume.turned.items()]
+    missing = np.any([one.missing for _, one in asked], axis=0)
     if follows_workpiece(model):
         degC = workpiece_degC(model, temperatures, t_s)
         missing |= ~np.isfinite(degC)
         for axis in (axis for axis in model.axes if axis.name in positions_mm):
             error_um[:, CARTESIAN.index(axis.cartesian)] += length_error_um(model, axis, degC, positions_mm[axis.name])
     half_um[~np.isfinite(error_um)] = np.nan
-    limits = [limit for name, one in seen.items() for limit in one.limits(positions_mm.get(name, t_s))]
+    limits = [limit for name, one in asked for limit in one.limits(positions_mm.get(name, t_s))]
     lost_angles = set(components_of(model.rotations)) - {name for one in volume.turned.values() for name in one.terms}
     return VolumePrediction(
         t_s=t_s,
@@ -89,10 +93,11 @@ def predict_volume(
         error_um=error_um,
         lower_um=error_um - half_um,
         upper_um=error_um + half_um,
-        in_domain=np.all([np.ones(len(t_s), dtype=np.bool_), *(limit.inside for limit in limits)], axis=0),
+        in_domain=np.all([np.full(len(t_s), not lost_angles), *(limit.inside for limit in limits)], axis=0),
         missing=missing,
         breaches=breaches_of([(np.arange(len(t_s)), limit) for limit in limits]),
-        absent=(*_absent(chain, seen), *sorted(lost_angles)),
+        absent=_absent(chain, seen),
+        lost_angles=tuple(sorted(lost_angles)),
         lean=_lean_text(volume) if np.any(longer_mm) else "",
         replaced=volume.replaced,
     )
