@@ -91,8 +91,8 @@ def _predict_volume(
     lines = lines * bool(prediction.absent)
     if prediction.lost_angles:
         lines.append(
-            f"  Without the angles {', '.join(prediction.lost_angles)}, whose sensors the table lacks: what they do over"
-            " the arms of the axes is not in the values, and no row counts as inside the training."
+            f"  Without the angles {', '.join(prediction.lost_angles)}, whose sensors the table lacks: their effect"
+            " over the arms of the axes is not included, and no row counts as inside the training."
         )
     if prediction.lean:
         lines.append(f"  Tool length, {model.tool_length_mm:g} mm in the measurements: {prediction.lean}.")
