@@ -75,17 +75,17 @@ def _comparison() -> tuple[CoefficientComparison, ...]:
 def test_temperature_coefficients_agree_with_print_within_10_percent() -> None:
     rows = _comparison()
     assert len(rows) == 36
-    strong = [row for row in rows if row.coefficient.endswith("per °C") and row.outcome != "weak"]
+    strong = [row for row in rows if row.coefficient.endswith("per °C") and row.verdict != "weak"]
     assert len(strong) == 12
     for row in strong:
         expected = "reversed" if row.equation == 11 else "agrees"
-        assert row.outcome == expected, row
+        assert row.verdict == expected, row
 
 
 def test_equation_11_is_reported_as_reversed() -> None:
     rows = _comparison()
-    assert {row.outcome for row in rows if row.equation == 11} == {"reversed"}
-    assert "reversed" not in {row.outcome for row in rows if row.equation != 11}
+    assert {row.verdict for row in rows if row.equation == 11} == {"reversed"}
+    assert "reversed" not in {row.verdict for row in rows if row.equation != 11}
 
 
 def test_unproven_sign_is_carried_into_every_output() -> None:

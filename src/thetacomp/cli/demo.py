@@ -153,9 +153,9 @@ def _against_print(folder: Path, path: Path) -> str:
     rows = compare_with_published(read_published_equations(TK6920_EQUATIONS), read_folder(folder))
     columns = [field.name for field in fields(rows[0])]
     write_file(path, csv_text(columns, map(astuple, rows), "\r\n"))
-    strong = [row for row in rows if row.coefficient.endswith("per °C") and row.outcome != "weak"]
-    close = [row for row in strong if row.outcome != "differs"]
-    turned = sorted({(row.equation, row.component) for row in rows if row.outcome == "reversed"})
+    strong = [row for row in rows if row.coefficient.endswith("per °C") and row.verdict != "weak"]
+    close = [row for row in strong if row.verdict != "differs"]
+    turned = sorted({(row.equation, row.component) for row in rows if row.verdict == "reversed"})
     reversed_text = ", ".join(f"({number}), {component}," for number, component in turned)
     return (
         "The printed equations against the tables, fitted the paper's way\n"

@@ -35,7 +35,7 @@ class PublishedEquation:
 
 @dataclass(frozen=True)
 class CoefficientComparison:
-    """One coefficient in print and recomputed. `outcome`: agrees, reversed, differs or weak (|r| at most 0.9)."""
+    """One coefficient in print and recomputed. `verdict`: agrees, reversed, differs or weak (|r| at most 0.9)."""
 
     equation: int
     component: str
@@ -44,7 +44,7 @@ class CoefficientComparison:
     printed: float
     recomputed: float
     correlation: float
-    outcome: str
+    verdict: str
 
 
 def read_published_equations(path: Path) -> tuple[PublishedEquation, ...]:
@@ -114,13 +114,13 @@ def _compare(equation: PublishedEquation, states: AxisStates, model: AxisModel) 
         ):
             rows.append(
                 CoefficientComparison(
-                    equation.number, equation.component, name, own_unit, printed, own, r, _outcome(printed, own, r)
+                    equation.number, equation.component, name, own_unit, printed, own, r, _verdict(printed, own, r)
                 )
             )
     return rows
 
 
-def _outcome(printed: float, own: float, r: float) -> str:
+def _verdict(printed: float, own: float, r: float) -> str:
     if abs(r) <= MIN_CORRELATION:
         return "weak"
     if abs(own - printed) <= TOLERANCE * abs(printed):
