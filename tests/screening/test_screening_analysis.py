@@ -76,14 +76,13 @@ def test_a_jump_of_a_key_sensor_hardly_changes_the_held_out_error() -> None:
 
 def test_training_with_the_faulty_campaign_gives_the_healthy_model() -> None:
     well, mended = analysis("healthy").model, analysis("jump").model
-    assert mended.components["DX"].inputs == well.components["DX"].inputs
-    assert SENSOR in well.components["DX"].inputs
+    assert mended.control[""].layout.sensors == well.control[""].layout.sensors
+    assert SENSOR in well.control[""].layout.sensors
     np.testing.assert_allclose(
-        mended.components["DX"].intercept.coefficients_per_K,
-        well.components["DX"].intercept.coefficients_per_K,
-        rtol=0.02,
+        mended.components["DX"].terms[0].coefficients, well.components["DX"].terms[0].coefficients, rtol=0.02
     )
-    assert analysis("jump", repair=False).model.components["DX"].inputs != well.components["DX"].inputs
+    spoilt = analysis("jump", repair=False).model
+    assert spoilt.control[""].layout.sensors != well.control[""].layout.sensors
 
 
 def test_the_evidence_is_in_the_notes_of_analysis_and_model() -> None:

@@ -89,7 +89,8 @@ def test_every_candidate_of_place_comes_back_as_exactly_its_state(coarse: Virtua
         strategy="displacement", chosen=np.arange(n), curve=SimpleNamespace(judged_um=np.zeros((n + 1, 4)))
     )
     placement = SimpleNamespace(candidates=free, choices=(choice,), nearest_id=("",) * n, nearest_mm=np.zeros(n))
-    text = "\n".join(",".join(row) for row in places_table(cast(Any, placement)))
+    head, table = places_table(cast(Any, placement))
+    text = "\n".join(",".join(row) for row in (head, *table))
     description = with_sensors(coarse.description, read_places(written(tmp_path, text)), COARSE)
     rows = sensor_rows(description, coarse.meshes, coarse.system)
     assert n > 300
@@ -171,7 +172,7 @@ def test_a_machine_keeps_its_own_sensors_unchanged(coarse: VirtualMachine) -> No
         (HEAD + "displacement,0,bed,,0,0,0\n", "column 'rank': found the rank 0, expected 1, 2, 3"),
         (HEAD + "displacement,1,bed,,0,0,0\n\ndisplacement,1,ram,,0,0,0\n", "row 4, column 'rank': found the rank 1"),
         (HEAD + "displacement,1,bed,,2113,3,0,0\n", "row 2: this row has not 7 cells"),
-        (HEAD + 'displacement,1,"bed,,0,0,0\n', "this is no table of text"),
+        (HEAD + 'displacement,1,"bed,,0,0,0\n', "this is not a text table"),
     ],
 )
 def test_a_bad_table_is_told_in_one_message(tmp_path: Path, text: str, told: str) -> None:
@@ -187,7 +188,7 @@ def test_no_file_a_folder_and_other_bytes(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a folder, not a table. Fix: name the file in it: .*places\.csv"):
         read_places(tmp_path)
     (tmp_path / "x.csv").write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(InputError, match="no table of text"):
+    with pytest.raises(InputError, match="not a text table"):
         read_places(tmp_path / "x.csv")
 
 

@@ -76,8 +76,8 @@ def test_every_command_of_the_base_installation_runs_without_an_extra(tmp_path):
         ("export", model, "--target", "sinumerik", "--out", tmp_path / "export"),
         ("verify", machine, "--off", "off", "--on", "good", "--out", tmp_path / "verification"),
         ("plan", machine, "--out", tmp_path / "plan"),
-        ("keypoints", machine),
-        ("keypoints", machine, "--method", "exact", "--sensors", "2"),
+        ("keypoints", machine, "--train", "off"),
+        ("keypoints", machine, "--train", "off", "--method", "exact", "--sensors", "2"),
         ("iso230", table, "--out", tmp_path / "iso230"),
         ("check", small),
     )  # fmt: skip
