@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -67,6 +68,7 @@ def test_every_command_of_the_base_installation_runs_without_an_extra(tmp_path):
     ]
     table = tmp_path / "deviations.csv"
     table.write_text(csv_text([["axis", "target_mm", "run", "direction", "error_um"], *deviations]), "utf-8")
+    shutil.copytree(machine / "campaigns" / "off", machine / "campaigns" / "again")
     small = small_folder(tmp_path / "small")
     model = tmp_path / "demo" / "results" / "model.json"
     ended = run_without_extras(
@@ -77,7 +79,7 @@ def test_every_command_of_the_base_installation_runs_without_an_extra(tmp_path):
         ("verify", machine, "--off", "off", "--on", "good", "--out", tmp_path / "verification"),
         ("plan", machine, "--out", tmp_path / "plan"),
         ("keypoints", machine, "--train", "off"),
-        ("keypoints", machine, "--train", "off", "--method", "exact", "--sensors", "2"),
+        ("keypoints", machine, "--train", "off", "--train", "again", "--method", "exact", "--sensors", "2"),
         ("iso230", table, "--out", tmp_path / "iso230"),
         ("check", small),
     )  # fmt: skip
