@@ -11,7 +11,7 @@ from thetacomp.arrays import Bools, Floats
 from thetacomp.axis_states import AxisStates, Samples, curve_um
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.border import calibrate_validity
-from thetacomp.fitting.conformal import HeldOut, calibrate_band, held_out_leverage, training_leverage
+from thetacomp.fitting.conformal import HeldOut, as_tuple, calibrate_band, held_out_leverage, training_leverage
 from thetacomp.fitting.history_model import HistoryModel, history_procedure
 from thetacomp.fitting.prior import fit_prior
 from thetacomp.model.border import Border
@@ -64,7 +64,7 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
         reference=Reference(
             campaign=states.campaigns[int(states.campaign[0])],
             t_s=float(states.reference_s[0]),
-            inputs=_plain(states.reference_history[0]),
+            inputs=as_tuple(states.reference_history[0]),
         ),
         leverage=training_leverage(moved, campaign),
         border=Border(
@@ -95,7 +95,7 @@ def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Flo
             "direction": name[1],
             "terms": tuple(
                 Term(
-                    coefficients=_plain(model.ridge.coef_[power * count + k]),
+                    coefficients=as_tuple(model.ridge.coef_[power * count + k]),
                     beyond=fit_prior(model.layout.sensors, rise_K, target, states.campaign).coefficients_um_per_K,
                 )
                 for power, target in enumerate(targets)
@@ -134,7 +134,3 @@ def _sensor_columns(layout: InputLayout, states: AxisStates, values: Floats) -> 
 
 def _complete(samples: Samples) -> Bools:
     return np.asarray(np.isfinite(samples.history).all(axis=1))
-
-
-def _plain(values: Floats) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)

@@ -88,10 +88,10 @@ def training_leverage(inputs: Floats, campaign: NDArray[Any], *, centred: bool =
     moments, vectors = np.linalg.eigh(z.T @ (z * weights[:, None]))
     kept = moments > FLOOR
     return Leverage(
-        centre=_plain(centre),
-        scale=_plain(scale),
-        directions=tuple(_plain(vector) for vector in vectors[:, kept].T),
-        moments=_plain(moments[kept]),
+        centre=as_tuple(centre),
+        scale=as_tuple(scale),
+        directions=tuple(as_tuple(vector) for vector in vectors[:, kept].T),
+        moments=as_tuple(moments[kept]),
         floor=FLOOR,
     )
 
@@ -235,5 +235,6 @@ def _likeliest_shape(size_um: Floats, leverage: Floats, weights: Floats) -> Band
     return out
 
 
-def _plain(values: Floats) -> tuple[float, ...]:
+def as_tuple(values: Floats) -> tuple[float, ...]:
+    """Values (n,) as plain numbers, for a document."""
     return tuple(float(value) for value in values)

@@ -254,9 +254,9 @@ def write_prediction(prediction: Prediction, path: Path) -> None:
     header += [f"d{d}_{side}_um" for d in CARTESIAN for side in ("lo", "hi")]
     rows: Iterator[list[Cell]] = (
         [
-            _plain(prediction.t_s[i]),
+            exact(prediction.t_s[i]),
             prediction.axis[i],
-            _plain(prediction.position_mm[i]),
+            exact(prediction.position_mm[i]),
             *(fixed(value, 4) for value in prediction.error_um[i]),
             *(fixed(side[i, k], 4) for k in range(3) for side in (prediction.lower_um, prediction.upper_um)),
             int(prediction.in_domain[i]),
@@ -308,13 +308,13 @@ def check_times(temperatures: Temperatures, t_s: Floats, place: Callable[[int], 
     early = np.flatnonzero(t_s < first_s)
     if len(early):
         raise AnalysisError(
-            f"{place(int(early[0]))}: t_s = {_plain(t_s[early[0]])} lies before the first"
-            f" temperature sample at t_s = {_plain(first_s)} ({len(early)} such rows)."
+            f"{place(int(early[0]))}: t_s = {exact(t_s[early[0]])} lies before the first"
+            f" temperature sample at t_s = {exact(first_s)} ({len(early)} such rows)."
             " Fix: bring both tables to the same clock, or start the temperatures earlier."
         )
     if len(t_s) and (t_s > last_s + temperatures.interval_s).all():
         raise AnalysisError(
-            f"positions: all rows lie after the last temperature sample at t_s = {_plain(last_s)}."
+            f"positions: all rows lie after the last temperature sample at t_s = {exact(last_s)}."
             " Fix: bring both tables to the same clock, or let the temperatures go on longer."
         )
 
@@ -325,8 +325,8 @@ def _check_duty_clock(temperatures: Temperatures, duty: Duty | None) -> None:
         return
     if duty.t_s[-1] < temperatures.t_s[0] or duty.t_s[0] > temperatures.t_s[-1]:
         raise AnalysisError(
-            f"duty: its rows run from t_s = {_plain(duty.t_s[0])} to {_plain(duty.t_s[-1])}, the temperatures from"
-            f" {_plain(temperatures.t_s[0])} to {_plain(temperatures.t_s[-1])}: they never meet."
+            f"duty: its rows run from t_s = {exact(duty.t_s[0])} to {exact(duty.t_s[-1])}, the temperatures from"
+            f" {exact(temperatures.t_s[0])} to {exact(temperatures.t_s[-1])}: they never meet."
             " Fix: bring both tables to the same clock."
         )
 
@@ -336,8 +336,8 @@ def _reference_s(temperatures: Temperatures, reference: Reference) -> float:
     at_s = float(temperatures.t_s[0]) if reference == "first_row" else float(reference)
     if not temperatures.t_s[0] <= at_s <= temperatures.t_s[-1]:
         raise AnalysisError(
-            f"reference {_plain(at_s)} s lies outside the temperatures, which run from {_plain(temperatures.t_s[0])}"
-            f" to {_plain(temperatures.t_s[-1])} s. Fix: choose a time inside, or `--reference model`."
+            f"reference {exact(at_s)} s lies outside the temperatures, which run from {exact(temperatures.t_s[0])}"
+            f" to {exact(temperatures.t_s[-1])} s. Fix: choose a time inside, or `--reference model`."
         )
     return at_s
 
@@ -345,10 +345,11 @@ def _reference_s(temperatures: Temperatures, reference: Reference) -> float:
 def _refuse_missing_reference(lacking: Sequence[str], at_s: float) -> None:
     if lacking:
         raise AnalysisError(
-            f"temperatures: {', '.join(lacking)} has no value at the reference, t_s = {_plain(at_s)}."
+            f"temperatures: {', '.join(lacking)} has no value at the reference, t_s = {exact(at_s)}."
             " Fix: choose another moment with `--reference TIME`, or `--reference model`."
         )
 
 
-def _plain(value: float) -> Number | str:
+def exact(value: float) -> Number | str:
+    """A number with all its digits, as a cell or in a message; empty where there is no finite value."""
     return Number(np.format_float_positional(value, trim="-")) if np.isfinite(value) else ""

@@ -21,12 +21,13 @@ from thetacomp.model.prediction import (
     breaches_of,
     check_times,
     data_row,
+    exact,
     workpiece_degC,
 )
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.volume import Part, ThermalParts, spindle_lean, volume_error, volume_slope
 from thetacomp.model.wanted_length import follows_workpiece, length_error_um
-from thetacomp.table_file import Cell, Number, fixed, write_table
+from thetacomp.table_file import Cell, fixed, write_table
 
 
 @dataclass(frozen=True)
@@ -172,8 +173,8 @@ def write_volume(prediction: VolumePrediction, path: Path) -> None:
     header += [f"d{d}_{side}_um" for d in CARTESIAN for side in ("lo", "hi")]
     rows: Iterator[list[Cell]] = (
         [
-            *(_plain(v) for v in (prediction.t_s[i], *(prediction.positions_mm[name][i] for name in axes))),
-            _plain(prediction.tool_length_mm[i]),
+            *(exact(v) for v in (prediction.t_s[i], *(prediction.positions_mm[name][i] for name in axes))),
+            exact(prediction.tool_length_mm[i]),
             *(fixed(value, 4) for value in prediction.error_um[i]),
             *(fixed(side[i, k], 4) for k in range(3) for side in (prediction.lower_um, prediction.upper_um)),
             int(prediction.in_domain[i]),
@@ -249,7 +250,3 @@ def _reading_um(law: AxisLaw) -> Floats:
     for component in law.components.values():
         out[CARTESIAN.index(component.direction)] = (component.band.quantile or 0.0) * component.band.noise_sd_um
     return out
-
-
-def _plain(value: float) -> Number | str:
-    return Number(np.format_float_positional(value, trim="-")) if np.isfinite(value) else ""
