@@ -109,7 +109,7 @@ def test_a_model_is_saved_and_loaded(tmp_path):
 def test_positions_of_all_axes_have_their_own_columns():
     t_s, zeros = np.array([0.0, 50.0]), np.zeros((2, 3))
     volume = VolumePrediction(
-        t_s, {"X": t_s, "W": t_s}, t_s, zeros + 1.0, zeros, zeros + 2.0, t_s < 9.0, t_s > 99.0, (), (), "", {}
+        t_s, {"X": t_s, "W": t_s}, t_s, zeros + 1.0, zeros, zeros + 2.0, t_s < 9.0, t_s > 99.0, (), (), (), "", {}
     )
     columns = PredictedError(volume).columns()
     assert list(columns)[:5] == ["t_s", "X_mm", "W_mm", "tool_length_mm", "dX_um"]
