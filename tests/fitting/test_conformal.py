@@ -13,6 +13,7 @@ from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.conformal import (
     FLOOR,
+    CampaignShapes,
     HeldOut,
     attainable_level,
     calibrate_band,
@@ -20,7 +21,6 @@ from thetacomp.fitting.conformal import (
     conformal_quantile,
     crossed_quantile,
     held_out_leverage,
-    training_leverage,
 )
 from thetacomp.fitting.ridge import HistoryRidge, history_candidates
 from thetacomp.model.band import Band
@@ -55,7 +55,7 @@ def calibrated(seed: int, campaigns: int) -> Calibrated:
     left_out = model.left_out_coef_[np.searchsorted(model.groups_, known.campaign)]
     residual_um = known.displacement_um - np.einsum("ij,ij->i", inputs, left_out)
     rows = HeldOut(residual_um, held_out_leverage(inputs, known.campaign), known.campaign)
-    band, leverage = calibrate_band(rows), training_leverage(inputs, known.campaign)
+    band, leverage = calibrate_band(rows), CampaignShapes.of(inputs, known.campaign).leverage()
     error_um = unseen.displacement_um - model.predict(new)
     return Calibrated(band, leverage, error_um, band.half_width_um(leverage.at(new)))
 
@@ -161,7 +161,7 @@ def test_band_is_narrow_at_the_reference_and_widens_with_distance(bands: list[Ca
 def test_leverage_is_the_textbook_one_without_the_floor() -> None:
     rng = np.random.default_rng(5)
     inputs = rng.normal(size=(200, 3)) @ rng.normal(size=(3, 3))
-    leverage = replace(training_leverage(inputs, np.repeat(np.arange(4), 50)), floor=1e-9)
+    leverage = replace(CampaignShapes.of(inputs, np.repeat(np.arange(4), 50)).leverage(), floor=1e-9)
     expected = np.einsum("ij,jk,ik->i", inputs, np.linalg.inv(inputs.T @ inputs / 200), inputs)
     np.testing.assert_allclose(leverage.at(inputs), expected, rtol=1e-5)
 
@@ -188,7 +188,7 @@ def test_left_out_coefficients_have_not_seen_their_campaign() -> None:
 def test_held_out_leverage_is_that_of_the_other_campaigns() -> None:
     rng = np.random.default_rng(6)
     inputs, campaign = rng.normal(size=(60, 3)), np.repeat(np.arange(3), 20)
-    expected = training_leverage(inputs[20:], campaign[20:]).at(inputs[:20])
+    expected = CampaignShapes.of(inputs[20:], campaign[20:]).leverage().at(inputs[:20])
     np.testing.assert_allclose(held_out_leverage(inputs, campaign)[:20], expected)
 
 
@@ -216,7 +216,7 @@ def test_quantiles_at_the_highest_level_are_the_largest_score_and_beyond_there_i
 def test_an_input_that_never_moved_does_not_count() -> None:
     """Two campaigns that weigh the same: scale √(½ · 1² + ½ · 3²) in the first input, none in the second."""
     inputs, campaign = np.array([[1.0, 0.0], [-1.0, 0.0], [3.0, 1e-10]]), np.array([0, 0, 1])
-    shape = training_leverage(inputs, campaign)
+    shape = CampaignShapes.of(inputs, campaign).leverage()
     assert shape.scale == pytest.approx((np.sqrt(5.0), 0.0))
     # z = 2 / √5 along a direction of moment 1; the second input is left out however far it goes.
     np.testing.assert_allclose(shape.at(np.array([[2.0, 0.0], [2.0, 50.0]])), 0.8 / (1.0 + FLOOR))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.conformal import attainable_level, conformal_quantile, training_leverage
+from thetacomp.fitting.conformal import CampaignShapes, attainable_level, conformal_quantile
 from thetacomp.model.border import Validity, furthest
 from thetacomp.temperature.trajectory import Trajectory
 
@@ -32,14 +32,14 @@ def calibrate_validity(
     score and the attainable level is said. Raises AnalysisError for fewer than 2 campaigns.
     """
     every, of = (inputs, campaign) if passed is None else (passed.inputs, passed.campaign)
-    labels = np.unique(campaign)
+    shapes = CampaignShapes.of(inputs, campaign)
+    labels = shapes.campaigns
     m = len(labels)
     if m < 2:
         raise AnalysisError(f"{m} campaign: the border of validity needs at least 2. Fix: measure one more campaign.")
     highest = np.empty((m, 2))
     for row, label in enumerate(labels):
-        others = campaign != label
-        leverage = training_leverage(inputs[others], campaign[others], centred=True)
+        leverage = shapes.without(label).leverage(centred=True)
         highest[row] = furthest(leverage, *_range(every[of != label]), every[of == label]).max(axis=0)
     unit = np.median(highest, axis=0)
     scores = (highest / unit).max(axis=1)
@@ -49,7 +49,7 @@ def calibrate_validity(
     if level < quiet_level:
         sentence += f" {quiet_level:.0%} was wanted: measure more campaigns."
     return Validity(
-        leverage=training_leverage(inputs, campaign, centred=True),
+        leverage=shapes.leverage(centred=True),
         middle=tuple(float(value) for value in middle),
         half_span=tuple(float(value) for value in half_span),
         leverage_unit=float(unit[0]),

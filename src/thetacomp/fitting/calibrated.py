@@ -11,7 +11,7 @@ from thetacomp.arrays import Bools, Floats
 from thetacomp.axis_states import AxisStates, Samples, curve_um
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.border import calibrate_validity
-from thetacomp.fitting.conformal import HeldOut, as_tuple, calibrate_band, held_out_leverage, training_leverage
+from thetacomp.fitting.conformal import CampaignShapes, HeldOut, as_tuple, calibrate_band, held_out_leverage
 from thetacomp.fitting.history_model import HistoryModel, history_procedure
 from thetacomp.fitting.prior import fit_prior
 from thetacomp.model.border import Border
@@ -66,7 +66,7 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
             t_s=float(states.reference_s[0]),
             inputs=as_tuple(states.reference_history[0]),
         ),
-        leverage=training_leverage(moved, campaign),
+        leverage=CampaignShapes.of(moved, campaign).leverage(),
         border=Border(
             distance=calibrate_validity(np.hstack([moved, temperature_degC]), campaign, states.trajectory),
         ),

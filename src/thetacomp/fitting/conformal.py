@@ -77,23 +77,51 @@ def campaign_weights(campaign: NDArray[Any]) -> Floats:
     return weights
 
 
-def training_leverage(inputs: Floats, campaign: NDArray[Any], *, centred: bool = False) -> Leverage:
-    """The shape of training inputs (n, k), which count from the reference unless they are to be `centred`."""
-    weights = campaign_weights(campaign)
-    centre = weights @ inputs if centred else np.zeros(inputs.shape[1])
-    moved = inputs - centre
-    scale = np.sqrt(weights @ moved**2)
-    scale = np.where(scale > 1e-9, scale, 0.0)
-    z = moved / np.where(scale > 0, scale, np.inf)
-    moments, vectors = np.linalg.eigh(z.T @ (z * weights[:, None]))
-    kept = moments > FLOOR
-    return Leverage(
-        centre=as_tuple(centre),
-        scale=as_tuple(scale),
-        directions=tuple(as_tuple(vector) for vector in vectors[:, kept].T),
-        moments=as_tuple(moments[kept]),
-        floor=FLOOR,
-    )
+@dataclass(frozen=True)
+class CampaignShapes:
+    """Means (m, k) and centred second moments (m, k, k) of k inputs in each of m campaigns, labelled `campaigns` (m,).
+
+    A campaign is left out by leaving out its moments: no row is read twice.
+    """
+
+    campaigns: NDArray[Any]
+    mean: Floats
+    moment: Floats
+
+    @classmethod
+    def of(cls, inputs: Floats, campaign: NDArray[Any]) -> CampaignShapes:
+        """One pass over inputs (n, k) and the campaign of each row (n,)."""
+        labels = np.unique(campaign)
+        mean, moment = np.empty((len(labels), inputs.shape[1])), np.empty((len(labels), *2 * inputs.shape[1:]))
+        for row, label in enumerate(labels):
+            own = inputs[campaign == label]
+            mean[row] = own.mean(axis=0)
+            moved = own - mean[row]
+            moment[row] = moved.T @ moved / len(own)
+        return cls(labels, mean, moment)
+
+    def without(self, label: Any) -> CampaignShapes:
+        """All campaigns but one."""
+        kept = self.campaigns != label
+        return CampaignShapes(self.campaigns[kept], self.mean[kept], self.moment[kept])
+
+    def leverage(self, *, centred: bool = False) -> Leverage:
+        """The shape of all rows, each campaign counting alike, about their mean or, if not `centred`, about zero."""
+        centre = self.mean.mean(axis=0) if centred else np.zeros(self.mean.shape[1])
+        apart = self.mean - centre
+        square = self.moment.mean(axis=0) + apart.T @ apart / len(apart)
+        scale = np.sqrt(np.diag(square))
+        scale = np.where(scale > 1e-9, scale, 0.0)
+        inverse = np.divide(1.0, scale, out=np.zeros(len(scale)), where=scale > 0)
+        moments, vectors = np.linalg.eigh(square * inverse[:, None] * inverse)
+        kept = moments > FLOOR
+        return Leverage(
+            centre=as_tuple(centre),
+            scale=as_tuple(scale),
+            directions=tuple(as_tuple(vector) for vector in vectors[:, kept].T),
+            moments=as_tuple(moments[kept]),
+            floor=FLOOR,
+        )
 
 
 def conformal_quantile(scores: Floats, campaign: NDArray[Any], level: float) -> float:
@@ -140,16 +168,16 @@ def held_out_leverage(inputs: Floats, campaign: NDArray[Any]) -> Floats:
 
     Raises AnalysisError for fewer than 2 campaigns.
     """
-    labels = np.unique(campaign)
-    if len(labels) < 2:
+    shapes = CampaignShapes.of(inputs, campaign)
+    if len(shapes.campaigns) < 2:
         raise AnalysisError(
-            f"{len(labels)} campaign: a band needs at least 2, one to fit and one to be held out."
+            f"{len(shapes.campaigns)} campaign: a band needs at least 2, one to fit and one to be held out."
             " Fix: measure one more campaign."
         )
     leverage = np.empty(len(inputs))
-    for label in labels:
+    for label in shapes.campaigns:
         own = campaign == label
-        leverage[own] = training_leverage(inputs[~own], campaign[~own]).at(inputs[own])
+        leverage[own] = shapes.without(label).leverage().at(inputs[own])
     return leverage
 
 

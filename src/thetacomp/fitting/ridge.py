@@ -191,17 +191,19 @@ class HistoryRidge(Regressor):
         m, k = target.shape[1], x.shape[1]
         mse, chosen = np.empty((m, len(self.candidates))), np.empty((m, len(self.candidates)), dtype=np.intp)
         weights, coef, left_out = np.empty_like(mse), np.zeros((m, k)), np.zeros((len(campaigns), m, k))
+        blocks = self._block_columns()
         for i, candidate in enumerate(self.candidates):
-            columns = self._columns(candidate)
+            uses = [(use, blocks[use.block]) for use in candidate]
+            columns = np.concatenate([own for _, own in uses])
             paths = [
-                ridge_path(moments, rest, columns, self._width(candidate, own), strengths)
+                ridge_path(moments, rest, columns, _widths(uses, own), strengths)
                 for rest, own in zip(rests, spreads, strict=True)
             ]
             error = sum(moments.square_error(c, columns, path) for c, path in enumerate(paths)) / moments.n.sum()
             chosen[:, i] = best = np.argmin(error, axis=1)
             mse[:, i] = error[np.arange(m), best]
             weights[:, i] = (mse[:, i] / size + 1e-12) ** -_WEIGHT_POWER
-            whole = ridge_path(moments, campaigns, columns, self._width(candidate, spread), strengths)
+            whole = ridge_path(moments, campaigns, columns, _widths(uses, spread), strengths)
             coef[:, columns] += weights[:, i, None] * whole[:, np.arange(m), best].T
             for c, path in enumerate(paths):
                 left_out[c][:, columns] += weights[:, i, None] * path[:, np.arange(m), best].T
@@ -229,23 +231,12 @@ class HistoryRidge(Regressor):
         coef = np.atleast_2d(self.coef_)
         return {"inputs": names, "coefficients": [[float(value) for value in row] for row in coef]}
 
-    def _columns(self, candidate: Candidate) -> NDArray[np.intp]:
-        at, end = {}, 0
-        for block, names in self.blocks.items():
-            at[block] = np.arange(end, end + len(names))
-            end += len(names)
-        return np.concatenate([at[use.block] for use in candidate])
-
-    def _width(self, candidate: Candidate, spread: Floats) -> Floats:
-        """Prior width of each input's coefficient: the block's width over the input's or the block's scale."""
-        out = []
-        for use in candidate:
-            scale = spread[self._columns((use,))]
-            if use.scale == "common":
-                scale = np.full(len(scale), np.sqrt(np.mean(scale**2)))
-            moves = scale > 1e-9
-            out.append(np.where(moves, use.width / np.where(moves, scale, 1.0), 0.0))
-        return np.concatenate(out)
+    def _block_columns(self) -> dict[str, NDArray[np.intp]]:
+        ends = np.cumsum([len(names) for names in self.blocks.values()])
+        return {
+            block: np.arange(end - len(names), end)
+            for (block, names), end in zip(self.blocks.items(), ends, strict=True)
+        }
 
     def _checked(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike) -> tuple[Floats, Floats, NDArray[Any]]:
         x, target, labels = np.asarray(X, dtype=np.float64), np.asarray(y, dtype=np.float64), np.asarray(groups)
@@ -263,3 +254,14 @@ class HistoryRidge(Regressor):
                 " chosen by holding out one of them. Fix: measure one more campaign, or use the paper's model."
             )
         return x[good], target[good], labels[good]
+
+
+def _widths(uses: Sequence[tuple[BlockUse, NDArray[np.intp]]], spread: Floats) -> Floats:
+    """Prior width of each input's coefficient: the block's width over the input's or the block's scale."""
+    scales = []
+    for use, columns in uses:
+        scale = spread[columns]
+        scales.append(np.full(len(scale), np.sqrt(np.mean(scale**2))) if use.scale == "common" else scale)
+    scale, width = np.concatenate(scales), np.repeat([use.width for use, _ in uses], [len(own) for _, own in uses])
+    widths: Floats = np.divide(width, scale, out=np.zeros(len(scale)), where=scale > 1e-9)
+    return widths
