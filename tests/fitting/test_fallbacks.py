@@ -145,24 +145,6 @@ def test_models_without_fallbacks_are_read_as_before(stored: ModelDocument) -> N
     assert ModelDocument.model_validate(raw).control["Y"].fallbacks == ()
 
 
-def test_the_switch_makes_no_bump_and_decays() -> None:
-    # intercept and slope are carried, so no position jumps
-    carried = start_transfer(100.0, output=(40.0, -6.0), law=(31.0, -4.5), decay_s=3600.0)
-    assert np.add((31.0, -4.5), carried.at(100.0)) == pytest.approx((40.0, -6.0))
-    later = np.array([carried.at(100.0 + t) for t in range(0, 36000, 60)])
-    # closed form: the fastest change is the value over the time constant
-    assert np.max(np.abs(np.diff(later[:, 0]))) <= 9.0 / 3600.0 * 60.0 + 1e-12
-    assert np.all(np.diff(np.abs(later), axis=0) < 0)
-    assert carried.at(3700.0)[0] == pytest.approx(9.0 / np.e)
-    kept = start_transfer(100.0, (40.0,), (31.0,), decay_s=None)
-    assert kept.at(1e6) == (9.0,)
-    # back to the whole model in the middle of the decay: again no bump
-    output = 31.0 + carried.at(2000.0)[0]
-    assert 35.0 + start_transfer(2000.0, (output,), (35.0,)).at(2000.0)[0] == pytest.approx(output)
-    with pytest.raises(ValueError, match="before the change"):
-        carried.at(0.0)
-
-
 def test_the_clock_needs_no_fallback_and_one_sensor_has_none() -> None:
     (states,) = axis_states(FOLDER, separate_folder(FOLDER), NAMES)
     folds = [(fold.train, fold.test) for fold in hold_out(states)[1]]

@@ -155,3 +155,58 @@ def test_wrong_probes_and_limits_are_refused() -> None:
         take_probe(state, Probe(2000.0, float("nan"), 0.0, BAND_UM, (0.0,)), LIMITS)
     with pytest.raises(ValueError, match="one value for each slope"):
         replace(LIMITS, slope_step=())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({name: value} for name in ("probe_sd_um", "offset_walk_um", "offset_step_um", "offset_most_um", "gate")
+          for value in (0.0, -1.0)),
+        *({name: (value,)} for name in ("slope_step", "slope_most") for value in (0.0, -1.0)),
+        {"slope_walk": (-1e-9,)},
+    ],
+)  # fmt: skip
+def test_limits_that_allow_nothing_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="must be above zero"):
+        replace(LIMITS, **change)
+
+
+def test_a_slope_may_stand_still_and_there_may_be_none() -> None:
+    assert replace(LIMITS, slope_walk=(0.0,)).slope_walk == (0.0,)
+    alone = Limits(probe_sd_um=1e-9, offset_walk_um=1e-9, offset_step_um=1e-9, offset_most_um=1e-9, gate=1e-9)
+    assert start_adaptation(0.0, alone).slopes == ()
+
+
+def test_a_probe_at_the_moment_of_the_last_one_counts_and_limits_must_fit_the_state() -> None:
+    state = start_adaptation(1000.0, LIMITS)
+    _, change = take_probe(state, Probe(1000.0, 1.0, 0.0, BAND_UM, (0.0,)), LIMITS)
+    assert change.action == "adapted"
+    none = replace(LIMITS, slope_walk=(), slope_step=(), slope_most=())
+    with pytest.raises(ValueError, match="0 features for 1 slopes"):
+        take_probe(state, Probe(2000.0, 1.0, 0.0, BAND_UM), none)
+
+
+@pytest.mark.parametrize(("half_width_um", "probe_sd_um"), [(8.0, 3.0), (0.0, 2.0)])
+def test_the_gate_stands_at_its_half_widths_of_band_and_probe(half_width_um: float, probe_sd_um: float) -> None:
+    """Two half widths of √(8² + (2 · 3)²) = 10 µm make 20 µm; of 2 · 2 µm alone 8 µm."""
+    limits = replace(LIMITS, probe_sd_um=probe_sd_um)
+    gate_um = 2.0 * np.hypot(half_width_um, 2.0 * probe_sd_um)
+    state = start_adaptation(0.0, limits)
+    for error_um, gated in ((gate_um * 0.999, False), (gate_um * 1.001, True), (-gate_um * 1.001, True)):
+        _, change = take_probe(state, Probe(60.0, error_um + 5.0, 5.0, half_width_um, (0.0,)), limits)
+        assert (change.action == "gated") is gated
+        assert change.innovation_um == pytest.approx(error_um)
+
+
+def test_one_probe_sets_the_offset_as_the_filter_of_kalman_does() -> None:
+    """Offset alone: variance 10² at first, 1.5²/h of walk; gain = P / (P + 0.5²), variance left P (1 - gain)."""
+    limits = replace(LIMITS, slope_walk=(), slope_step=(), slope_most=())
+    state, _ = take_probe(start_adaptation(0.0, limits), Probe(7200.0, 4.0, 1.0, BAND_UM), limits)
+    variance = 100.0 + 2.0 * 1.5**2
+    gain = variance / (variance + 0.25)
+    assert state.offset_um == pytest.approx(3.0 * gain)
+    assert state.covariance[0][0] == pytest.approx(variance * (1.0 - gain))
+    band_um = uncertainty_um(state, 7200.0 + 3600.0, 2.0, limits)
+    assert band_um == pytest.approx(np.hypot(2.0, 1.96 * np.sqrt(state.covariance[0][0] + 1.5**2)))
+    # never more than what the bounds leave possible: 60 µm
+    assert uncertainty_um(state, 1e9, 0.0, limits) == pytest.approx(1.96 * 60.0)

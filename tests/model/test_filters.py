@@ -15,10 +15,12 @@ from thetacomp.model.filters import (
     FilterState,
     InputLayout,
     history_inputs,
+    recorded_inputs,
     run_filters,
     start_filters,
     step_filters,
 )
+from thetacomp.model.temperatures import Duty, Temperatures
 
 
 def one_lag(t_s, u, tau_s):
@@ -151,3 +153,29 @@ def test_a_layout_says_from_which_temperature_its_mean_rise_counts() -> None:
     assert InputLayout.plain(("a",)) == InputLayout(sensors=("a",), time_constants_s=(), speed_powers=(), base_degC=0.0)
     with pytest.raises(ValidationError, match="base_degC"):
         InputLayout.model_validate({"sensors": ["a"]})
+
+
+@pytest.mark.parametrize("columns", [None, {}, {"feed_mm_min": np.ones(3)}])
+def test_a_layout_with_speeds_needs_a_duty_that_has_them(columns: dict[str, np.ndarray] | None) -> None:
+    heat = Temperatures(60.0 * np.arange(3.0), ("a",), np.full((3, 1), 21.0))
+    duty = None if columns is None else Duty(heat.t_s, columns)
+    with pytest.raises(AnalysisError, match=r"there is no spindle_rpm\. Fix: give a duty table"):
+        recorded_inputs(InputLayout(sensors=("a",), base_degC=20.0), heat, duty)
+    still = InputLayout(sensors=("a",), speed_powers=(), base_degC=20.0)
+    assert recorded_inputs(still, heat, duty)[1].shape == (3, 1 + 7)
+
+
+def test_a_speed_holds_until_the_next_entry_and_before_the_first_one_the_first() -> None:
+    layout = InputLayout(sensors=("a",), time_constants_s=(600.0,), speed_powers=(1,), base_degC=21.0)
+    heat = Temperatures(60.0 * np.arange(5.0), ("a",), np.full((5, 1), 21.0))
+    duty = Duty(np.array([60.0, 130.0, 240.0]), {"spindle_rpm": np.array([2000.0, np.nan, 1000.0])})
+    speed_rpm = np.array([2000.0, 2000.0, 2000.0, 0.0, 1000.0])  # an empty cell counts as standstill
+    expected = history_inputs(layout, heat.t_s, heat.value_degC, speed_rpm)
+    np.testing.assert_allclose(recorded_inputs(layout, heat, duty)[1], expected)
+
+
+def test_filters_bridge_a_gap_and_plain_temperatures_keep_it() -> None:
+    heat = Temperatures(60.0 * np.arange(3.0), ("b", "a"), np.array([[0.0, 20.0], [0.0, np.nan], [0.0, 22.0]]))
+    lagged = InputLayout(sensors=("a",), time_constants_s=(600.0,), speed_powers=(), base_degC=0.0)
+    np.testing.assert_allclose(recorded_inputs(lagged, heat, None)[1][:, 0], [20.0, 21.0, 22.0])
+    np.testing.assert_allclose(recorded_inputs(InputLayout.plain(("a",)), heat, None)[1][:, 0], [20.0, np.nan, 22.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from small_models import component, document, term
 
 from thetacomp.arrays import Floats
+from thetacomp.errors import ModelFileError
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.load import load_model
 from thetacomp.model.prediction import Prediction, predict
@@ -100,3 +102,53 @@ def test_of_two_terms_the_wider_leverage_is_taken(
     one, two = (term(0.0, 1.0, sd=sd, variance=variance) for sd, variance in (intercept, slope))
     law = document({"X": "+X"}, {"EXX": component("EXX", one, two, {"a": 20.0})}, {"a": (0.0, 10.0)}).control["X"]
     np.testing.assert_allclose(law.leverage.at(np.array([[0.0], [3.0]])), [expected, 10.0 * expected])
+
+
+EYY, HISTORY = ("components", "EYY"), ("history", "Y", "components", "EYY")
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "value", "words"),
+    [
+        (
+            "joint_rotations",
+            (*EYY, "p_max_mm"),
+            1999.0,
+            "components.EYY: another P0 or travel than the rest of its axis",
+        ),
+        ("joint_rotations", (*EYY, "p0_mm"), 1.0, "components.EYY: another P0 or travel than the rest of its axis"),
+        ("joint_rotations", (*EYY, "reference", "temperature_degC", "t1"), 20.5, "EYY: another reference of t1 than"),
+        ("key_points", (*EYY, "reference", "temperature_degC"), {}, "EYY: no reference temperature for a"),
+        ("key_points", (*EYY, "slope", "coefficients_per_K"), [], "slope has 0 coefficients for 1 inputs"),
+        ("key_points", (*EYY, "slope", "covariance"), [[1.0]], "the covariance of the slope is not 2 by 2"),
+        ("key_points", (*EYY, "slope", "covariance"), [[1.0, 0.0]], "the covariance of the slope is not 2 by 2"),
+        ("key_points", (*EYY, "slope", "covariance"), [[1.0, 0.5], [0.0, 1.0]], "a covariance that is not symmetric"),
+        ("key_points", (*EYY, "slope", "covariance"), [[1.0, 9.0], [9.0, 1.0]], "a variance is below zero"),
+        ("key_points", (*EYY, "slope", "residual_sd"), -1.0, "components.EYY.slope.residual_sd"),
+        ("key_points", ("training", "range_degC"), {}, "training: no training range for a, an input of"),
+        ("key_points", ("training", "range_rise_K"), {}, "training: no training range for a, an input of"),
+        ("heat_history", ("history", "Y", "axis"), "Z", "history.Y: it is the model of axis Z"),
+        ("heat_history", (*HISTORY, "prior_slope_um_per_m_per_K"), None, "EYY: a slope or bend without its prior"),
+        ("heat_history", (*HISTORY, "slope_um_per_m"), None, "EYY: a slope or bend without its prior"),
+    ],
+)
+def test_a_file_of_format_1_that_contradicts_itself_is_refused(
+    kind: str, place: tuple[str, ...], value: object, words: str, tmp_path: Path
+) -> None:
+    raw = json.loads((DATA / f"{kind}.json").read_text(encoding="utf-8"))
+    owner = raw
+    for key in place[:-1]:
+        owner = owner[key]
+    owner[place[-1]] = value
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(raw), encoding="utf-8")
+    with pytest.raises(ModelFileError, match=re.escape(words)):
+        load_model(path)
+
+
+def test_with_a_common_datum_no_range_of_rises_is_asked_for(tmp_path: Path) -> None:
+    raw = json.loads((DATA / "key_points.json").read_text(encoding="utf-8"))
+    raw["training"] |= {"datum": "common", "range_rise_K": {}}
+    (tmp_path / "model.json").write_text(json.dumps(raw), encoding="utf-8")
+    border = load_model(tmp_path / "model.json").control["Y"].border
+    assert (border.rise_counts, border.rise_K) == (False, {})

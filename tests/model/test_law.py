@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 import pytest
 from scipy import stats
-from small_models import Part, component, document, term
+from small_models import Part, component, document, nothing_predicts, term
 
 from thetacomp.arrays import Bools, Floats
 from thetacomp.model.check import problems
 from thetacomp.model.document import ModelDocument, Term
-from thetacomp.model.law import ComponentLaw, Law, box_degC, component_laws
+from thetacomp.model.law import ComponentLaw, Law, box_degC, component_laws, inputs_of
 from thetacomp.model.student import t_quantile
 
 
@@ -45,6 +45,12 @@ def test_t_quantile_against_scipy(dof: int, probability: float) -> None:
 
 def test_t_quantile_without_degrees_of_freedom_is_infinite() -> None:
     assert math.isinf(t_quantile(0.975, 0))
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.2, 1.0, 2.5])
+def test_t_quantile_of_what_is_no_upper_share_is_refused(probability: float) -> None:
+    with pytest.raises(ValueError, match=f"between 0.5 and 1, not at {probability}"):
+        t_quantile(probability, 5)
 
 
 def test_line_and_error_by_hand() -> None:
@@ -142,13 +148,37 @@ def test_rise_counts_for_the_domain_only_where_the_datum_is_the_campaign() -> No
     assert in_domain(law_of(one_error("common"), warm_start), theta, p)[0]
 
 
-def test_largest_value_is_at_a_corner_of_the_training_box() -> None:
-    model = one_error(slope=term(1.0, 4.0, -0.5, sd=2.0), dof=4)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_largest_value_is_at_a_corner_of_the_training_box(sign: float) -> None:
+    model = one_error(slope=term(sign * 1.0, sign * 4.0, sign * -0.5, sd=2.0), dof=4)
     law = law_of(model)
     box = box_degC({"EXY": law})
     assert box == {"a": (20.0, 30.0), "b": (21.0, 26.0)}
     # a = +10 K, b = -1 K: 1 + 40 + 0.5, and 2 times the quantile of t for 4 degrees of freedom.
     assert law.largest(1, box) == pytest.approx(41.5 + 2 * stats.t.ppf(0.975, 4), rel=1e-4)
+
+
+def test_largest_value_without_a_band_and_without_a_sensor() -> None:
+    """Intercept 3 + 10 a - 2 b at +10 and -1 K; where no sensor predicts, the constant and its bound."""
+    law = law_of(one_error(dof=0))
+    assert law.largest(0, box_degC({"EXY": law})) == pytest.approx(105.0)
+    alone = document({"Y": "+Y"}, {"EXY": nothing_predicts("EXY", -7.0)}, {})
+    still = law_of(alone)
+    assert still.largest(0, {}) == pytest.approx(7.0 + 2.0 * stats.t.ppf(0.975, 8), rel=1e-4)
+
+
+def test_the_box_holds_what_every_law_has_seen_of_a_sensor() -> None:
+    """Seen from references of 20 and 24 °C, a rise of 0 to 10 K is 20 to 30 and 24 to 34 °C."""
+    laws = {"one": law_of(one_error(), {"a": 20.0, "b": 22.0}), "two": law_of(one_error(), {"a": 24.0, "b": 21.0})}
+    assert box_degC(laws) == {"a": (20.0, 34.0), "b": (20.0, 26.0)}
+    assert inputs_of(laws) == ("a", "b")
+
+
+def test_travel_is_that_of_the_measurement_and_a_drift_has_none() -> None:
+    assert law_of(one_error()).travel_mm == (500.0, 0.0, 2000.0)
+    drift = document({}, {"DX": component("DX", term(0.0, 1.0), None, {"a": 20.0})}, {"a": (0.0, 10.0)})
+    with pytest.raises(ValueError, match="DX is drift at a fixed position: it has no travel"):
+        _ = component_laws(drift.control)["DX"].travel_mm
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,27 @@ def test_a_good_sample_beside_a_missing_one_stands() -> None:
     np.testing.assert_array_equal(table().unbridged_at(table().t_s), table().value_degC)
 
 
+def test_a_sensor_that_was_never_read_stays_empty_and_one_reading_is_held() -> None:
+    value = np.full((3, 2), NAN)
+    value[1, 1] = 21.0
+    found = Temperatures(60.0 * np.arange(3.0), ("dead", "once"), value).at(np.array([-60.0, 30.0, 90.0, 600.0]))
+    np.testing.assert_array_equal(found, [[NAN, 21.0]] * 4)
+
+
+def test_the_interval_is_the_median_one_and_one_sample_has_none() -> None:
+    assert table().take(np.array([0, 1, 2, 4])).interval_s == 60.0
+    one = table().take(slice(1))
+    assert one.interval_s == 0.0
+    np.testing.assert_array_equal(one.unbridged_at(np.array([-1.0, 0.0, 1.0]))[:, 0], [NAN, 20.0, NAN])
+
+
+def test_some_rows_keep_their_times() -> None:
+    some = table().take(table().t_s > 100.0)
+    assert (some.t_s.tolist(), some.value_degC[:, 0].tolist()) == ([120.0, 180.0, 240.0], [22.0, 23.0, 24.0])
+    duty = Duty(60.0 * np.arange(3.0), {"spindle_rpm": np.array([0.0, 500.0, 900.0])}).take(slice(1, None))
+    assert (duty.t_s.tolist(), duty.columns["spindle_rpm"].tolist()) == ([60.0, 120.0], [500.0, 900.0])
+
+
 def test_duty_that_nobody_logged_before_counts_as_standstill() -> None:
     before = Duty(np.array([-60.0]), {"spindle_rpm": np.array([500.0]), "coolant": np.array([1.0])})
     later = Duty(np.array([0.0]), {"spindle_rpm": np.array([900.0]), "feed_mm_min": np.array([7.0])})

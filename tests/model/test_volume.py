@@ -367,3 +367,18 @@ def test_a_volume_that_follows_the_workpiece_gains_its_growth_along_each_axis() 
     found = predict_volume(small().model_copy(update={"length": follow}), warm(), np.array([100.0]), positions)
     np.testing.assert_allclose(found.error_um - plain.error_um, [[-23.0, 0.0, 11.5]], atol=1e-9)
     np.testing.assert_allclose(found.upper_um - found.error_um, plain.upper_um - plain.error_um)
+    assert (found.in_domain.tolist(), found.breaches) == ([True], ())
+
+
+def test_a_volume_flags_a_workpiece_outside_the_temperatures_at_which_it_is_followed() -> None:
+    """Followed from 5 to 25 °C only; at 26 and 30 °C the flag is set, without a reading the row is missing."""
+    follow = WantedLength(
+        wanted="workpiece", workpiece_expansion_per_K=11.5e-6, workpiece_sensor="part", workpiece_degC=(5.0, 25.0)
+    )
+    value = np.array([[20.0, 25.0], [21.0, 26.0], [22.0, 30.0], [22.0, np.nan]])
+    table = Temperatures(100.0 * np.arange(4.0), ("a", "part"), value)
+    positions = {name: np.full(4, 500.0) for name in "XW"}
+    found = predict_volume(small().model_copy(update={"length": follow}), table, table.t_s, positions)
+    assert found.in_domain.tolist() == [True, False, False, False]
+    assert found.missing.tolist() == [False, False, False, True]
+    assert [(b.kind, b.name, b.rows, b.values) for b in found.breaches] == [("temperature", "part", 2, (25.0, 30.0))]

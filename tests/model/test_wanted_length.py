@@ -73,7 +73,11 @@ def test_a_workpiece_at_twenty_degrees_changes_nothing() -> None:
 def test_an_unbelievable_workpiece_raises_the_flag_and_a_missing_one_is_refused() -> None:
     rows = Rows(np.array([100.0]), ("X",), np.array([500.0]))
     assert predict(model(), heat(30.0), rows).in_domain.all()
-    assert not predict(model(), heat(60.0), rows).in_domain.any()
+    assert predict(model(), heat(30.0), rows).breaches == ()
+    hot = predict(model(), heat(60.0), rows)
+    assert not hot.in_domain.any()
+    assert [(b.kind, b.name, b.rows, b.values) for b in hot.breaches] == [("temperature", "part", 1, (60.0, 60.0))]
+    assert hot.breaches[0].trained == model().length.workpiece_degC
     without = Temperatures(np.array([0.0, 100.0]), ("a",), np.array([[20.0], [20.0]]))
     with pytest.raises(AnalysisError, match="no column part"):
         predict(model(), without, rows)

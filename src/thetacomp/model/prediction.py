@@ -120,6 +120,13 @@ def workpiece_degC(model: ModelDocument, temperatures: Temperatures, t_s: Floats
     return temperatures.select((model.length.workpiece_sensor or "",)).unbridged_at(t_s)[:, 0]
 
 
+def workpiece_limit(model: ModelDocument, value_degC: Floats) -> Limit:
+    """The limit of the temperatures (n,) at which the workpiece is followed."""
+    low, high = model.length.workpiece_degC
+    inside = (value_degC >= low) & (value_degC <= high)
+    return Limit("temperature", model.length.workpiece_sensor or "", value_degC, (low, high), inside)
+
+
 def _follow_workpiece(model: ModelDocument, temperatures: Temperatures, table: _Table) -> None:
     """Add what following the workpiece does along each axis; outside its trusted temperatures the flag is set."""
     for axis in model.axes:
@@ -130,10 +137,7 @@ def _follow_workpiece(model: ModelDocument, temperatures: Temperatures, table: _
         k = CARTESIAN.index(axis.cartesian)
         table.error_um[rows, k] += length_error_um(model, axis, value, table.positions.position_mm[rows])
         table.missing[rows] |= ~np.isfinite(value)
-        low, high = model.length.workpiece_degC
-        inside = (value >= low) & (value <= high)
-        sensor = model.length.workpiece_sensor or ""
-        table.limit(rows, [Limit("temperature", sensor, value, (low, high), inside)])
+        table.limit(rows, [workpiece_limit(model, value)])
 
 
 def answering(

@@ -23,6 +23,7 @@ from thetacomp.model.prediction import (
     data_row,
     exact,
     workpiece_degC,
+    workpiece_limit,
 )
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.volume import Part, ThermalParts, spindle_lean, volume_error, volume_slope
@@ -78,13 +79,14 @@ def predict_volume(
     _check_length(model, volume, longer_mm, place)
     error_um, half_um = volume_error(chain, volume.parts(), positions_mm, longer_mm)
     missing = np.any([one.missing for one in (*seen.values(), *volume.turned.values())], axis=0)
+    limits = [limit for name, one in seen.items() for limit in one.limits(positions_mm.get(name, t_s))]
     if follows_workpiece(model):
         degC = workpiece_degC(model, temperatures, t_s)
         missing |= ~np.isfinite(degC)
+        limits.append(workpiece_limit(model, degC))
         for axis in (axis for axis in model.axes if axis.name in positions_mm):
             error_um[:, CARTESIAN.index(axis.cartesian)] += length_error_um(model, axis, degC, positions_mm[axis.name])
     half_um[~np.isfinite(error_um)] = np.nan
-    limits = [limit for name, one in seen.items() for limit in one.limits(positions_mm.get(name, t_s))]
     lost_angles = set(components_of(model.rotations)) - {name for one in volume.turned.values() for name in one.terms}
     return VolumePrediction(
         t_s=t_s,
