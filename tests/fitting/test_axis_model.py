@@ -12,8 +12,17 @@ from scipy import stats
 from thetacomp.analysis import analyze_folder
 from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder, Parameters
+from thetacomp.errors import AnalysisError
 from thetacomp.fitting.build import build_document
-from thetacomp.fitting.key_point_law import clock, fit_axis
+from thetacomp.fitting.key_point_law import (
+    ELAPSED_TIME,
+    all_sensors,
+    clock,
+    complete_rows,
+    fit_axis,
+    input_columns,
+    training_mean,
+)
 from thetacomp.folds import hold_out
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.separation import separate_folder
@@ -164,3 +173,68 @@ def test_components_that_were_never_tested_fail() -> None:
     dropped = analyze_folder(folder)
     assert "EZY" not in dropped.model.components
     assert any(note.startswith("EZY was measured in c0, c1 only") for note in dropped.notes)
+
+
+def test_the_mean_of_the_states_is_the_baseline_of_a_common_datum_and_nothing_where_the_zero_is_exact() -> None:
+    """Intercepts 0, 20, 50, 60 µm and slopes 0, 8, 20, 24 µm/m: at 1 m from P0 their means are 32.5 + 13 µm."""
+    common = _states(MachineFolder(MACHINE, (_lines(500.0, "a", datum="common"),)))
+    model = training_mean(common)
+    samples = common.samples[0]
+    value_um, half_um = model.predict("EXY", common, samples)
+    np.testing.assert_allclose(value_um, 32.5 + 13.0 * samples.lever_m)
+    assert np.isfinite(half_um).all()
+    assert model.inputs == ()
+    exact = _states(_sweeps(2))
+    np.testing.assert_array_equal(training_mean(exact).predict("EXY", exact, exact.samples[0])[0], 0.0)
+
+
+def test_inputs_are_rises_by_name_and_the_time_in_hours() -> None:
+    rise_K, elapsed_h = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([5.0, 6.0])
+    found = input_columns(("b", ELAPSED_TIME, "a"), ("a", "b"), rise_K, elapsed_h)
+    np.testing.assert_array_equal(found, [[2.0, 5.0, 1.0], [4.0, 6.0, 3.0]])
+    np.testing.assert_array_equal(input_columns((), ("a", "b"), rise_K, elapsed_h), [[0.0], [0.0]])
+
+
+def test_a_state_counts_where_all_of_it_is_known_and_it_is_not_zero_by_definition() -> None:
+    states = _states(_sweeps(1))
+    assert states.cold.tolist() == [True] + [False] * 5
+    x = np.zeros((6, 1))
+    x[1, 0] = np.nan
+    intercept, slope = states.intercept_um.copy(), states.slope_um_per_m.copy()
+    intercept[2, 0], slope[3, 0] = np.nan, np.nan
+    holed = replace(states, intercept_um=intercept, slope_um_per_m=slope)
+    assert complete_rows(holed, 0, x).tolist() == [4, 5]
+    assert complete_rows(holed, 1, x).tolist() == [2, 3, 4, 5]
+    assert complete_rows(replace(holed, exact_zero=False), 0, x).tolist() == [0, 4, 5]
+    assert complete_rows(replace(holed, axis=""), 0, x).tolist() == [3, 4, 5]  # a drift has no slope
+
+
+def test_a_sample_without_an_input_has_no_prediction_and_the_others_keep_theirs() -> None:
+    states = _states(_sweeps(2))
+    model, samples = fit_axis(states, ("t1",)), states.samples[0]
+    rise_K = samples.rise_K.copy()
+    rise_K[[3, 8]] = np.nan
+    whole, part = model.predict("EXY", states, samples), model.predict("EXY", states, replace(samples, rise_K=rise_K))
+    for before, after in zip(whole, part, strict=True):
+        assert np.flatnonzero(np.isnan(after)).tolist() == [3, 8]
+        np.testing.assert_array_equal(np.delete(after, [3, 8]), np.delete(before, [3, 8]))
+    none = model.predict("EXY", states, replace(samples, rise_K=np.full_like(rise_K, np.nan)))
+    assert np.isnan(none).all()
+
+
+def test_the_baseline_of_all_sensors_takes_those_that_were_read_throughout() -> None:
+    states = _states(_sweeps(2))
+    gap = np.column_stack([states.rise_K, states.rise_K, states.elapsed_h])
+    gap[4, 1] = np.nan
+    wide = replace(states, sensors=("t1", "holed", "t3"), rise_K=gap)
+    assert all_sensors(wide).inputs == ("t1", "t3")
+
+
+def test_a_constant_is_fitted_where_it_is_asked_for_and_costs_a_state() -> None:
+    states = _states(_sweeps(1))
+    heated = np.flatnonzero(~states.cold)
+    assert fit_axis(states.take(heated[:2]), ("t1",), constant=False).regressions["EXY"].dof_ == 1
+    with pytest.raises(AnalysisError, match=r"2 complete heated states .* 1 inputs; at least 3 are needed"):
+        fit_axis(states.take(heated[:2]), ("t1",), constant=True)
+    free = fit_axis(states.take(heated), ("t1",), constant=True)
+    assert np.abs(free.regressions["EXY"].intercept_).max() > 0

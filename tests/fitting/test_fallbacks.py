@@ -158,6 +158,22 @@ def test_the_clock_needs_no_fallback_and_one_sensor_has_none() -> None:
     assert axis_fallbacks(states, only_nut(states), only_nut, folds) == ()
 
 
+@pytest.mark.parametrize("needed", ["nut", "bearing", "bed"])
+def test_a_sensor_that_the_procedure_needs_has_no_fallback_and_the_others_have(needed: str) -> None:
+    (states,) = axis_states(FOLDER, separate_folder(FOLDER), NAMES)
+    folds = [(fold.train, fold.test) for fold in hold_out(states)[1]]
+
+    def with_all(some: AxisStates) -> AxisModel:
+        if needed not in some.sensors:
+            raise AnalysisError(f"no {needed}")
+        return fit_axis(some, some.sensors)
+
+    found = axis_fallbacks(states, with_all(states), with_all, folds)
+    assert tuple(one.lost for one in found) == tuple(name for name in IDS if name != needed)
+    for one in found:
+        assert one.model.inputs == one.states.sensors == tuple(name for name in IDS if name != one.lost)
+
+
 def test_history_model_goes_on_without_any_of_its_sensors() -> None:
     rng = np.random.default_rng(100)
     machine = synthetic_machine(rng)

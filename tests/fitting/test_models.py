@@ -17,6 +17,7 @@ from sklearn.preprocessing import StandardScaler
 from small_models import component, document, term
 
 from thetacomp.errors import ModelFileError
+from thetacomp.fitting.estimator import Regressor
 from thetacomp.fitting.linear import ThermalRegression
 from thetacomp.model.load import load_model
 
@@ -54,6 +55,41 @@ def test_is_a_scikit_learn_estimator() -> None:
     assert fit.predict(X).shape == (30,)
     with pytest.raises(ValueError, match="features"):
         fit.predict(X[:, :2])
+
+
+def test_a_regression_through_zero_is_the_textbook_one() -> None:
+    """No column of ones: sigma² (X'X)^-1 with one degree of freedom more, and R² still against the mean."""
+    X, y = _data()
+    fit = ThermalRegression(fit_intercept=False).fit(X, y)
+    beta = np.linalg.lstsq(X, y, rcond=None)[0]
+    residual = y - X @ beta
+    assert fit.coef_ == pytest.approx(beta.T)
+    assert fit.intercept_ == pytest.approx([0.0, 0.0])
+    assert (fit.dof_, fit.states_) == (27, 30)
+    assert fit.residual_covariance_ == pytest.approx(residual.T @ residual / 27)
+    assert fit.unscaled_covariance_[1:, 1:] == pytest.approx(np.linalg.inv(X.T @ X))
+    assert fit.leverage(X) == pytest.approx(np.einsum("ij,jk,ik->i", X, np.linalg.inv(X.T @ X), X))
+    assert fit.r_squared_ == pytest.approx(
+        1.0 - np.sum(residual**2, axis=0) / np.sum((y - y.mean(axis=0)) ** 2, axis=0)
+    )
+    assert ThermalRegression().fit(X, y).r_squared_ == pytest.approx(
+        1.0
+        - np.sum((y - ThermalRegression().fit(X, y).predict(X)) ** 2, axis=0)
+        / np.sum((y - y.mean(axis=0)) ** 2, axis=0)
+    )
+
+
+def test_a_target_that_never_moves_has_no_share_explained() -> None:
+    X, _ = _data()
+    still = ThermalRegression().fit(X, np.column_stack([np.full(30, 4.0), X[:, 0]]))
+    assert still.r_squared_ == pytest.approx([0.0, 1.0])
+    assert still.score(X, np.full((30, 2), 4.0)) < 0.0  # no spread to explain, and the second column is missed
+
+
+def test_an_estimator_without_a_rule_does_not_predict() -> None:
+    with pytest.raises(TypeError, match="Regressor does not predict"):
+        Regressor().predict(np.ones((1, 1)))
+    assert (Regressor().get_params(), Regressor().__sklearn_is_fitted__()) == ({}, False)
 
 
 def test_too_few_states_are_refused() -> None:

@@ -60,3 +60,53 @@ def test_bad_gain_and_probe_outside_are_said():
         follow_probes(T_S, np.zeros(10), np.array([20.0]), np.array([1.0]), gain=0.0)
     with pytest.raises(AnalysisError, match="probe at 500 s lies outside 0 to 90 s"):
         follow_probes(T_S, np.zeros(10), np.array([500.0]), np.array([1.0]))
+
+
+def test_between_probes_both_parts_weigh_the_same_and_belong_to_one_campaign():
+    """The fit is that of `fit` on the rows and on w times their changes, w² = mean square of errors over changes."""
+    rng = np.random.default_rng(8)
+    groups, probes = np.repeat(np.arange(3), 30), np.arange(5, 90, 10)
+    x = rng.normal(size=(90, 1)).cumsum(axis=0)
+    y_um = np.column_stack([4.0 * x[:, 0] + rng.normal(0, 1.0, 90), rng.normal(0, 5.0, 90)])
+    y_um[7, 1] = np.nan
+    change_x, change_um = since_probe(x, groups, probes), since_probe(y_um, groups, probes)
+    weight = np.sqrt(np.nanmean(y_um**2) / np.nanmean(change_um**2))
+
+    def model():
+        return HistoryRidge({"temperature": ("a",)}, ((BlockUse("temperature", 1.0, "each"),),))
+
+    for columns in (slice(0, 1), slice(None)):
+        weight = np.sqrt(np.nanmean(y_um[:, columns] ** 2) / np.nanmean(change_um[:, columns] ** 2))
+        expected = model().fit(
+            np.vstack([x, weight * change_x]),
+            np.vstack([y_um[:, columns], weight * change_um[:, columns]]),
+            np.tile(groups, 2),
+        )
+        found = fit_between_probes(model(), x, y_um[:, columns], groups, probes)
+        np.testing.assert_allclose(found.coef_, expected.coef_)
+
+
+def test_errors_that_are_zero_throughout_give_a_model_of_nothing():
+    groups = np.repeat([0, 1, 2], 10)
+    x = np.random.default_rng(9).normal(size=(30, 1))
+    model = HistoryRidge({"temperature": ("a",)}, ((BlockUse("temperature", 1.0, "each"),),))
+    np.testing.assert_array_equal(fit_between_probes(model, x, np.zeros(30), groups, np.array([3, 13])).coef_, 0.0)
+
+
+def test_a_row_is_no_probe_of_itself_and_several_columns_are_counted_each():
+    groups, values = np.zeros(4, int), np.array([[1.0, 10.0], [2.0, 30.0], [4.0, 70.0], [9.0, 20.0]])
+    np.testing.assert_array_equal(
+        since_probe(values, groups, np.array([1, 2])), [[1.0, 10.0], [2.0, 30.0], [2.0, 40.0], [5.0, -50.0]]
+    )
+
+
+def test_probes_at_the_ends_are_inside_and_one_between_rows_meets_the_line_between_them():
+    ends = follow_probes(T_S, np.zeros(10), np.array([0.0, 90.0]), np.array([4.0, 7.0]))
+    np.testing.assert_array_equal(ends, [0, 4, 4, 4, 4, 4, 4, 4, 4, 4])
+    # at 25 s the prediction stands at 2.5, so 4.5 are missing
+    np.testing.assert_array_equal(
+        follow_probes(T_S, T_S / 10.0, np.array([25.0]), np.array([7.0])),
+        [0, 1, 2, 7.5, 8.5, 9.5, 10.5, 11.5, 12.5, 13.5],
+    )
+    with pytest.raises(AnalysisError, match="the probe at -1 s lies outside 0 to 90 s"):
+        follow_probes(T_S, np.zeros(10), np.array([-1.0, 20.0]), np.array([1.0, 1.0]))
