@@ -36,6 +36,12 @@ def test_the_reference_is_that_of_the_first_training_campaign() -> None:
     assert found[0].t_s < found[1].t_s
 
 
+def test_the_reference_is_that_campaigns_own_even_where_one_state_of_it_is_left(states: AxisStates) -> None:
+    one = states.take(np.concatenate([[1], np.flatnonzero(states.campaign > 0)]))
+    moved = replace(one, reference_s=one.reference_s + 7.0 * one.campaign)
+    assert calibrated_history(moved).document.reference.t_s == states.reference_s[0]
+
+
 def test_the_travel_is_that_of_the_states(states: AxisStates) -> None:
     document = calibrated_history(states).document
     assert (document.axis, document.p0_mm) == ("Y", states.p0_mm)
