@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -13,8 +15,11 @@ from small_models import Part, component, document, nothing_predicts, term
 from thetacomp.arrays import Bools, Floats
 from thetacomp.model.check import problems
 from thetacomp.model.document import ModelDocument, Term
-from thetacomp.model.law import ComponentLaw, Law, box_degC, component_laws, inputs_of
+from thetacomp.model.law import ComponentLaw, Law, box_degC, component_laws, inputs_of, joined
+from thetacomp.model.load import load_model
 from thetacomp.model.student import t_quantile
+
+DATA = Path(__file__).parent / "data"
 
 
 def one_error(datum: Literal["campaign", "common"] = "campaign", **overrides: object) -> ModelDocument:
@@ -38,7 +43,7 @@ def in_domain(law: ComponentLaw, temperature_degC: Floats, position_mm: Floats) 
 
 
 @pytest.mark.parametrize("dof", [*range(1, 31), 50, 100, 1000, 10**6])
-@pytest.mark.parametrize("probability", [0.95, 0.975, 0.995])
+@pytest.mark.parametrize("probability", [0.95, 0.975, 0.995, 0.9999, 1.0 - 1e-7])
 def test_t_quantile_against_scipy(dof: int, probability: float) -> None:
     assert t_quantile(probability, dof) == pytest.approx(stats.t.ppf(probability, dof), rel=1e-4)
 
@@ -223,3 +228,39 @@ def test_slope_at_a_position_is_the_derivative() -> None:
         powers = (3.0, 5.0, 7.0)[:count]
         np.testing.assert_allclose(values.error_um("EXY", u_m), sum(c * u_m**k for k, c in enumerate(powers)))
         np.testing.assert_allclose([values.term(k)[0, 0] for k in range(3)], [*powers, *[0.0] * (3 - count)])
+
+
+def test_a_law_with_a_distance_is_inside_up_to_one_and_its_box_is_not_asked() -> None:
+    """Distances of 1, just beyond it, and unknown; as `distance` of its axis, or of the drift."""
+    history = load_model(DATA / "heat_history.json").prediction["Y"]
+    values = Law.of_model(history).at(np.zeros((3, len(history.reference.inputs))), np.full((3, 2), 20.0))
+    values = replace(values, distance=np.array([1.0, 1.001, np.inf]))
+    distance, travel = values.limits(np.array([0.0, 2000.0, 2002.0]))
+    assert (distance.kind, distance.name, distance.trained) == ("distance", "Y", (0.0, 1.0))
+    np.testing.assert_array_equal(distance.value, [1.0, 1.001, np.nan])
+    assert distance.inside.tolist() == [True, False, False]
+    assert (travel.kind, travel.inside.tolist()) == ("position", [True, True, False])
+    drift = Law.of_model(history.model_copy(update={"axis": "", "p0_mm": None, "p_min_mm": None, "p_max_mm": None}))
+    (alone,) = replace(values, law=drift).limits(np.zeros(3))
+    assert (alone.kind, alone.name) == ("distance", "drift")
+
+
+def test_a_law_seen_in_parts_is_the_law_seen_whole() -> None:
+    """More moments than are worked on at once: 2500, of a law with and one without a distance from training."""
+    for kind, room in (("heat_history", "prediction"), ("key_points", "control")):
+        axis = getattr(load_model(DATA / f"{kind}.json"), room)["Y"]
+        law, n = Law.of_model(axis), 2500
+        rng = np.random.default_rng(3)
+        moved = rng.normal(0.0, 3.0, (n, len(axis.reference.inputs)))
+        degC = rng.normal(22.0, 3.0, (n, len(axis.layout.sensors)))
+        moved[1700, 0] = np.nan
+        whole = law.at(moved, degC)
+        parts = joined([law.at(moved[start : start + 1024], degC[start : start + 1024]) for start in (0, 1024, 2048)])
+        for name in ("temperature_degC", "rise_K", "missing"):
+            np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+        if whole.distance is not None:
+            np.testing.assert_allclose(parts.distance, whole.distance)  # type: ignore[arg-type]
+        np.testing.assert_allclose(parts.terms["EYY"], whole.terms["EYY"], atol=1e-9)
+        np.testing.assert_allclose(parts.leverage["EYY"], whole.leverage["EYY"])
+        assert np.flatnonzero(parts.missing).tolist() == [1700]
+        assert (parts.distance is None) is (kind == "key_points")

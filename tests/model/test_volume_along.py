@@ -66,10 +66,10 @@ def test_a_small_turn_moves_the_end_of_an_arm_across_both() -> None:
     np.testing.assert_allclose(turned, [[0.0, 0.0, 20.0], [0.0, -20.0, 0.0]])
 
 
-def joint(bend: bool = False) -> ModelDocument:
+def joint(bend: bool = False, sensors: str = "dxw") -> ModelDocument:
     """Drift on `d`, X on `x`, W on `w`, and an angle of the drift on `r`; all sensors stood at 20 °C."""
-    made = {f"D{d}": component(f"D{d}", term(0.0, 1.0), None, {"d": 20.0}, through_zero=True) for d in "XYZ"}
-    for axis, sensor in (("X", "x"), ("W", "w")):
+    made = {f"D{d}": component(f"D{d}", term(0.0, 1.0), None, {sensors[0]: 20.0}, through_zero=True) for d in "XYZ"}
+    for axis, sensor in zip("XW", sensors[1:], strict=True):
         for d, value in zip("XYZ", (10.0, -3.0, 5.0), strict=True):
             name = f"E{d}{axis}"
             made[name] = component(name, term(0.0, 0.0), term(0.0, value), {sensor: 20.0}, p=(500.0, 0.0, 1000.0))
@@ -138,3 +138,18 @@ def test_what_the_law_of_an_axis_says_is_what_is_predicted_from_it() -> None:
         law_values(joint(), "X", early, TIMES_S, "first_row")
     with pytest.raises(AnalysisError, match=r"temperatures: the table has no rows\. Fix: "):
         law_values(joint(), "X", heat().take(slice(0)), TIMES_S, "first_row")
+
+
+@pytest.mark.parametrize("sensors", ["dxw", "dxx", "ddd"])
+def test_a_row_that_breaks_one_limit_in_several_laws_counts_once(sensors: str) -> None:
+    """Trained from 20 to 30 °C: the last two of three rows are too warm, in every law that has the sensor."""
+    table = replace(heat(), value_degC=np.repeat([[20.0], [31.0], [32.0]], 4, axis=1))
+    found = predict_volume(joint(sensors=sensors), table, TIMES_S, PLACES, reference="model")
+    told = [(one.kind, one.name, one.rows, one.values, one.trained) for one in found.breaches]
+    expected = [
+        (kind, name, 2, (low, low + 12.0), (low, low + 10.0))
+        for name in dict.fromkeys(sensors)
+        for kind, low in (("temperature", 20.0), ("rise", 0.0))
+    ]
+    assert told == expected
+    assert found.in_domain.tolist() == [True, False, False]
