@@ -6,12 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from thetacomp.safe_names import checked_name
+from thetacomp.safe_names import checked_name, checked_text
 
 SensorRole = Literal[
     "drive", "bearing", "guide", "structure", "fluid", "ambient", "foundation", "workpiece", "reference"
 ]
 Direction = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"]
+FreeText = Annotated[str, AfterValidator(checked_text)]
 Text = Annotated[str, AfterValidator(checked_name)]
 Identifier = Annotated[Text, Field(min_length=1)]
 
@@ -54,7 +55,7 @@ class Sensor(Strict):
     """A temperature sensor. `axis` is absent where it belongs to no axis; `at_mm` is only used to draw it."""
 
     id: Identifier
-    location: Text = ""
+    location: FreeText = ""
     role: SensorRole
     axis: str | None = None
     at_mm: tuple[float, float, float] | None = None

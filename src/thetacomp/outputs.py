@@ -44,12 +44,11 @@ def output_table(out: Path, inputs: Iterable[Path] = ()) -> Iterator[None]:
     for path in inputs:
         if _same(place, Path(os.path.realpath(path))):
             raise OutputError(out, f"it is read as well ({path}) and would be lost.", "name another file.")
-    if place.suffix.lower() not in TABLE_ENDINGS:
+    found = f"it is {_kind(place)}, " if place.exists() and not place.is_file() else ""
+    if found or place.suffix.lower() not in TABLE_ENDINGS:
         raise OutputError(
-            out, f"expected a table, its name ending in {' or '.join(TABLE_ENDINGS)}.", "name it error.csv, say."
+            out, f"{found}expected a table, its name ending in {' or '.join(TABLE_ENDINGS)}.", "name it error.csv, say."
         )
-    if place.exists() and not place.is_file():
-        raise OutputError(out, f"it is {_kind(place)}, expected the name of a file.", "name a file.")
     if not place.parent.is_dir():
         raise OutputError(out, f"there is no folder {out.parent}.", "make it, or name another.")
     for path in (place.parent, *([place] if place.exists() else [])):

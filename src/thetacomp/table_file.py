@@ -13,7 +13,7 @@ from xml.sax.saxutils import escape
 
 from thetacomp.errors import OutputError
 from thetacomp.files import write_file
-from thetacomp.safe_names import name_fault
+from thetacomp.safe_names import is_formula, name_fault
 
 Cell = str | float | int | None
 # Directions ("-X+Y") and places ("-500 mm, approach +") are our own texts and no formulas.
@@ -38,6 +38,11 @@ def fixed(value: float, decimals: int) -> Number | str:
 def digits(value: float, count: int = 6) -> Number | str:
     """A number with so many significant digits; empty where there is no finite value."""
     return Number(f"{value:.{count}g}") if math.isfinite(value) else ""
+
+
+def free_text(text: str) -> str:
+    """A text that is no name, as a cell: an apostrophe before what a spreadsheet would take for a formula."""
+    return f"'{text}" if is_formula(text) else text
 
 
 def plain(value: object) -> Cell:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from thetacomp.errors import ModelFileError
 from thetacomp.model.check import problems
 from thetacomp.model.document import ModelDocument
 from thetacomp.model.load import load_model
@@ -19,6 +21,7 @@ LEVERAGE = (*Y, "leverage")
 BAND = (*Y, "components", "EYY", "band")
 TERM = (*Y, "components", "EYY", "terms", 1)
 DISTANCE = ("prediction", "Y", "border", "distance")
+FOLLOW = {"wanted": "workpiece", "workpiece_expansion_per_K": 11.5e-6, "workpiece_sensor": "a"}
 
 
 def found(kind: str, changes: dict[tuple[Any, ...], Any]) -> list[str]:
@@ -51,8 +54,15 @@ def found(kind: str, changes: dict[tuple[Any, ...], Any]) -> list[str]:
         ((*Y, "border", "rise_K"), [{}], [{"b": [0.0, 1.0]}], "border.rise_K: no training range for a"),
         ((*Y, "p_max_mm"), [1e6], [1.01e6], "control.Y: a position beyond 1 km"),
         ((*Y, "p_min_mm"), [-1e6, 1999.0], [-1.01e6], "control.Y: a position beyond 1 km"),
-        ((*Y, "p_min_mm"), [1999.0], [2000.0, 2001.0], "has no length"),
-        ((*Y, "p0_mm"), [-1e6, 1e6], [-1.01e6, 1.01e6, None], "control.Y: a"),
+        # a micrometre of travel carries no slope
+        ((*Y, "p_min_mm"), [1999.0, 1999.9989], [1999.9991, 2000.0, 2001.0], "has no length"),
+        (
+            (*Y, "p0_mm"),
+            [-1e5, 0.0, 1.02e5],
+            [-1.01e5, 1.021e5, 1e6],
+            "lies more than 100 m outside the measured travel",
+        ),
+        ((*Y, "p0_mm"), [], [-1.01e6, 1.01e6, None], "control.Y: a"),
         (("axes", 0, "travel_mm"), [[-1e6, 0.0], [0.0, 1e6]], [[-1.01e6, 0.0]], "axes.Y: a travel beyond 1 km"),
         (("tool_length_mm",), [-1e6, 1e6], [-1.01e6, 1.01e6], "mm is no tool"),
         ((*TERM, "constant"), [-1e5, 1e5], [-1.01e5, 1.01e5], "slope: "),
@@ -138,3 +148,71 @@ def test_the_box_of_training_holds_the_sensors_of_the_fallbacks_too() -> None:
     assert found.temperature_degC == {**law.border.temperature_degC, **ready.temperature_degC}
     assert found.rise_K == {**law.border.rise_K, **ready.rise_K}
     assert set(found.temperature_degC) == set(found.rise_K) == {"a", "b"}
+
+
+BAD_NAMES = ("=1+1", "＠x", "a\x07b", "a\u200fb", "a\nb")
+FREE = ("- one point less", "+3 K", "=", "")
+
+
+@pytest.mark.parametrize(
+    ("place", "change"),
+    [
+        ("machine", lambda name: {("machine",): name}),
+        ("axes", lambda name: {("axes", 0, "sensor"): name}),
+        ("length", lambda name: {("length",): FOLLOW | {"workpiece_sensor": name}}),
+        ("length", lambda name: {("length",): FOLLOW | {"zero_mm": {name: 0.0}}}),
+        ("training", lambda name: {("training", "mode"): name}),
+        ("training", lambda name: {("training", "instrument"): name}),
+        ("training", lambda name: {("training", "campaigns"): ["good", name]}),
+        ("laws", lambda name: {(*Y, "reference", "campaign"): name}),
+        ("laws", lambda name: {(*Y, "border", "rise_K"): {"a": [0.0, 1.0], name: [0.0, 1.0]}}),
+        ("laws", lambda name: {(*Y, "border", "temperature_degC"): {"a": [20.0, 21.0], name: [20.0, 21.0]}}),
+        ("laws", lambda name: {(*Y, "layout", "sensors"): [name], (*Y, "border", "rise_K"): {},
+                               (*Y, "border", "temperature_degC"): {name: [20.0, 21.0]}}),
+    ],
+)  # fmt: skip
+def test_a_name_that_no_machine_file_may_bring_is_refused_in_a_model_too(
+    place: str, change: Callable[[str], dict[tuple[Any, ...], Any]]
+) -> None:
+    for name in BAD_NAMES:
+        (told,) = found("key_points", change(name))
+        assert told.startswith(f"{place}: {name!r} is no name: it ")
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        ("version",), ("created",), ("method",), ("notes",), ("failed_checks",), ("failed_static_checks",),
+        (*Y, "components", "EYY", "equation"), (*BAND, "sentence"), (*DISTANCE, "sentence"),
+    ],
+)  # fmt: skip
+def test_a_text_of_a_model_may_begin_as_it_likes_but_hides_nothing(place: tuple[str, ...]) -> None:
+    many = place[0] in ("notes", "failed_checks", "failed_static_checks")
+    for text in FREE:
+        assert found("heat_history", {place: ["first", text] if many else text}) == []
+    for text in ("a\x1b[31mb", "a\u202eb"):
+        (told,) = found("heat_history", {place: ["first", text] if many else text})
+        assert told.startswith(f"{text!r} is no text: it holds the ")
+
+
+@pytest.mark.parametrize("room", ["control", "prediction"])
+def test_what_a_fallback_names_and_says_is_held_to_the_same_rules(room: str) -> None:
+    model = load_model(DATA / "heat_history.json")
+    law = getattr(model, room)["Y"]
+    first, *others = law.fallbacks
+    eyy = first.components["EYY"]
+    for change, told in (
+        ({"reference": first.reference.model_copy(update={"campaign": "=c"})}, "laws: '=c' is no name: it begins"),
+        ({"components": {"EYY": eyy.model_copy(update={"equation": "\x00"})}}, "'\\x00' is no text: it holds"),
+    ):
+        changed = law.model_copy(update={"fallbacks": (first.model_copy(update=change), *others)})
+        (problem,) = problems(model.model_copy(update={room: {"Y": changed}}))
+        assert problem.startswith(told)
+
+
+def test_half_a_letter_in_a_file_is_one_message(tmp_path: Path) -> None:
+    raw = json.loads(load_model(DATA / "key_points.json").to_json())
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(raw | {"machine": "a\ud800"}), encoding="utf-8")
+    with pytest.raises(ModelFileError, match=r"model\.json: .* Fix: do not edit"):
+        load_model(path)

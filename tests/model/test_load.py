@@ -226,3 +226,40 @@ def test_a_saved_model_has_rows_of_numbers_and_empty_lists_on_one_line() -> None
     for part in ('"speed_powers": [],', '"scale": [1.0],', '"directions": [\n          [1.0]\n        ],'):
         assert part in text
     assert '"prediction": {},' in text
+
+
+def test_a_file_that_says_no_more_than_it_must_says_the_least(tmp_path: Path) -> None:
+    """Every key with a default left out: separate form, a tool of no length, true metres, nothing failed."""
+    raw = json.loads(load_model(DATA / "key_points.json").to_json())
+    for key in ("form", "tool_length_mm", "prediction", "rotations", "failed_checks", "failed_static_checks", "notes",
+                "length"):  # fmt: skip
+        raw.pop(key)
+    law = raw["control"]["Y"]
+    for key in ("candidates", "fallbacks"):
+        law.pop(key)
+    law["border"].pop("rise_counts")
+    eyy = law["components"]["EYY"]
+    for key in ("leverage", "through_zero", "dof", "states", "held_out_um", "equation"):
+        eyy.pop(key)
+    eyy["terms"][0].pop("constant")
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(raw), encoding="utf-8")
+    model = load_model(path)
+    assert (model.form, model.tool_length_mm, model.length.wanted) == ("separate", 0.0, "true")
+    assert (model.prediction, model.rotations, model.notes) == ({}, {}, ())
+    assert (model.failed_checks, model.failed_static_checks, model.failed_export_checks) == ((), (), ())
+    least = model.control["Y"]
+    component = least.components["EYY"]
+    assert (least.candidates, least.fallbacks, least.border.rise_counts) == (None, (), True)
+    assert (component.leverage, component.through_zero, component.equation) == (None, True, "")
+    assert (component.dof, component.states, component.held_out_um) == (None, None, None)
+    assert (component.terms[0].constant, component.terms[0].beyond) == (0.0, None)
+
+
+def test_a_control_is_judged_by_what_it_carries() -> None:
+    """Checks of the law on key temperatures stand apart only where heat history is in use instead."""
+    both = {"failed_checks": ("of the model in use",), "failed_static_checks": ("of the control's law",)}
+    points = load_model(DATA / "key_points.json").model_copy(update=both)
+    history = load_model(DATA / "heat_history.json").model_copy(update=both)
+    assert points.failed_export_checks == ("of the model in use",)
+    assert history.failed_export_checks == ("of the control's law",)

@@ -21,6 +21,7 @@ from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage
 from thetacomp.model.prediction import Reference, predict
 from thetacomp.model.temperatures import Duty, Temperatures
+from thetacomp.table_file import xlsx_bytes
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,8 @@ def test_outside_the_training_range_is_said() -> None:
         ((200, "X", float("nan")), "first_row", "axis X without a position_mm"),
         ((200, "X", 1.0), 99.0, "reference 99 s lies outside the temperatures"),
         ((200, "X", 1.0), 301.0, "which run from 100 to 300 s"),
+        ((200, "X", 1.0), float("nan"), "reference nan s lies outside the temperatures"),
+        ((200, "X", 1.0), float("inf"), "reference inf s lies outside the temperatures"),
     ],
 )
 def test_what_cannot_be_answered_is_told(wanted: tuple[float, str, float], reference: Reference, words: str) -> None:
@@ -225,7 +228,8 @@ def call(
     (tmp_path / "T.csv").write_text(text, encoding="utf-8")
     (tmp_path / "P.csv").write_text(positions, encoding="utf-8")
     arguments = ["predict", str(tmp_path / "model.json"), "--temperatures", str(tmp_path / "T.csv")]
-    arguments += ["--positions", str(tmp_path / "P.csv"), "--out", str(tmp_path / "F.csv"), *more]
+    out = [] if "--out" in more else ["--out", str(tmp_path / "F.csv")]
+    arguments += ["--positions", str(tmp_path / "P.csv"), *out, *more]
     result = CliRunner().invoke(app, arguments)
     return result.exit_code, result.output
 
@@ -265,6 +269,76 @@ def test_command_takes_every_reference(tmp_path: Path, reference: str, wanted: f
     code, output = call(tmp_path, "t_s,axis,position_mm\n300,X,0\n", "--reference", reference)
     assert code == 0, output
     assert float(written(tmp_path)[0]["dX_um"]) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(("column", "unit_s"), [("t_s", 1.0), ("t_min", 60.0), ("t_h", 3600.0)])
+def test_a_reference_is_in_seconds_whatever_the_tables_count_in(tmp_path: Path, column: str, unit_s: float) -> None:
+    """a: 21, 23, 27 °C at 0, 1, 2 units; zero is set at 1.5 units, where it is 25 °C: 10 µm/K at P0."""
+    table = f"{column},a,b\n0,21,18\n1,23,19\n2,27,22\n"
+    positions = f"{column},axis,position_mm\n2,X,500\n"
+    code, output = call(tmp_path, positions, "--reference", f"{1.5 * unit_s}", temperature=table)
+    assert code == 0, output
+    assert float(written(tmp_path)[0]["dX_um"]) == pytest.approx(20.0)
+    assert f"the temperatures at t = {1.5 * unit_s:g} s;" in output
+
+
+def test_a_column_without_a_value_is_not_said_to_be_absent_alone(tmp_path: Path) -> None:
+    code, output = call(tmp_path, "t_s,axis,position_mm\n300,X,0\n", temperature="t_s,a,b\n100,,18\n300,,22\n")
+    assert code == 1
+    told = " ".join(output.split())
+    assert (
+        "no column a, which the model needs as an input, or no value in it; found b. Fix: add the column, fill" in told
+    )
+
+
+ONE = "t_s,axis,position_mm\n300,X,0\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("t_s,theta_1,theta_2,theta_3\n0,20,20,20\n", "its columns are t_s, theta_1, theta_2, …) and would be lost"),
+        ("t_s,in_domain_too\n0,1\n", "its columns are t_s, in_domain_too)"),
+        ("time,in_domain\n0,1\n", "its columns are time, in_domain)"),
+        ("\x00\x01\x02", "(no table)"),
+        ("a thesis\nwith lines\n", "its columns are a thesis)"),
+    ],
+)
+def test_a_file_that_is_no_prediction_is_not_replaced(tmp_path: Path, content: str, words: str) -> None:
+    (tmp_path / "F.csv").write_text(content, encoding="utf-8")
+    code, output = call(tmp_path, ONE)
+    assert code == 1
+    assert words in " ".join(output.split())
+    assert "Fix: name another file." in output
+    assert (tmp_path / "F.csv").read_text(encoding="utf-8") == content
+
+
+@pytest.mark.parametrize("ending", [".csv", ".xlsx"])
+def test_an_older_prediction_is_replaced_however_it_was_saved_again(tmp_path: Path, ending: str) -> None:
+    out = tmp_path / f"old{ending}"
+    for _ in range(2):
+        assert call(tmp_path, ONE, "--out", str(out))[0] == 0
+    if ending == ".csv":
+        for text in ("", out.read_text(encoding="utf-8").replace(",", ";"), "\ufeff" + out.read_text(encoding="utf-8")):
+            out.write_text(text, encoding="utf-8")
+            assert call(tmp_path, ONE, "--out", str(out))[0] == 0
+    else:
+        out.write_bytes(xlsx_bytes(["t_s", "theta"], [[0.0, 20.0]]))
+        code, output = call(tmp_path, ONE, "--out", str(out))
+        assert (code, "its columns are t_s, theta)" in " ".join(output.split())) == (1, True)
+        out.write_bytes(b"no workbook")
+        assert "(no table)" in " ".join(call(tmp_path, ONE, "--out", str(out))[1].split())
+
+
+def test_an_output_that_is_a_folder_is_told_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "taken.csv").mkdir()
+    monkeypatch.chdir(tmp_path)
+    for out in ("", ".", "..", "taken.csv", "taken.csv/"):
+        code, output = call(tmp_path, ONE, "--out", out)
+        assert code == 1
+        assert "it is a folder, expected a table, its name ending in .csv or .xlsx. Fix: name it" in " ".join(
+            output.split()
+        )
 
 
 ISO = "time,a,b\n2026-03-02T08:00:00,21,18\n2026-03-02T09:00:00,23,19\n2026-03-02T10:00:00,27,22\n"

@@ -328,7 +328,7 @@ def test_a_prediction_never_lands_on_what_it_reads(tmp_path: Path, asked: list[s
 
 
 def test_a_prediction_keeps_the_link_and_the_rights_of_its_file(tmp_path: Path, asked: list[str]) -> None:
-    (tmp_path / "real.csv").write_text("old")
+    (tmp_path / "real.csv").write_text("t_s,in_domain\n0,1\n")  # an older prediction
     (tmp_path / "real.csv").chmod(0o640)
     (tmp_path / "error.csv").symlink_to("real.csv")
     assert CliRunner().invoke(app, [*asked, str(tmp_path / "error.csv")]).exit_code == 0

@@ -2,23 +2,48 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import pytest
 from machine_folders import valid_files, write_files
 
 from thetacomp.errors import InputError
+from thetacomp.planning.options import PlanOptions
+from thetacomp.planning.setup import make_setup
+from thetacomp.planning.tables import sensors_csv
 from thetacomp.reading import read_folder, read_positioning, read_temperatures
 from thetacomp.reading.correlations import read_correlations
-from thetacomp.safe_names import name_fault
+from thetacomp.safe_names import name_fault, text_fault
+from thetacomp.table_file import csv_text, free_text
 
 FORMULAS = ("=1+1", "+SUM(1)", "-2+3", "@A1", "＝1", "＋1", "－1", "＠1")
-CONTROLS = ("a\x00b", "a\x1bb", "a\x7fb", "a\x85b", "a\u2028b")
+CONTROLS = ("a\x00b", "a\x1bb", "a\x7fb", "a\x85b", "a\u2028b", "a\ud800b")
+# marks of direction, a space of no width, a soft hyphen, a byte order mark, a mark of shorthand, a tag
+INVISIBLE = ("a\u200fb", "\u202eb", "a\u2066b", "a\u200bb", "a\u00adb", "\ufeffa", "a\U0001bca0b", "a\U000e0041b")
 
 
-@pytest.mark.parametrize("text", [*FORMULAS, *CONTROLS, "\tx", "x\r"])
+@pytest.mark.parametrize("text", [*FORMULAS, *CONTROLS, *INVISIBLE, "\tx", "x\r"])
 def test_faults_are_named(text: str) -> None:
     assert name_fault(text)
+
+
+def test_what_cannot_be_seen_is_a_fault_of_any_text_a_formula_only_of_a_name() -> None:
+    assert [text_fault(text) for text in FORMULAS] == [""] * len(FORMULAS)
+    assert all(text_fault(text).startswith("it holds the control character U+") for text in CONTROLS)
+    assert all(text_fault(text).startswith("it holds the invisible character U+") for text in INVISIBLE)
+    assert text_fault("=\u200f") == name_fault("=\u200f") == "it holds the invisible character U+200F"
+
+
+def test_a_free_text_becomes_a_cell_that_is_no_formula() -> None:
+    for text in FORMULAS:
+        cell = free_text(text)
+        assert cell == f"'{text}"
+        assert name_fault(cell) == ""
+    for text in ("+Y side of the column", " =1"):
+        assert csv_text(["a"], [[free_text(text)]]) == f"a\n'{text}\n"
+    assert free_text("column, +Y side") == "column, +Y side"
+    assert free_text("") == ""
 
 
 @pytest.mark.parametrize("text", ["theta_1", "立柱", "X-Y", "a=b", "2026-03-02", "Z+", "µ", "–5 dash", ""])
@@ -38,7 +63,7 @@ def refusal(tmp_path: Path, files: dict[str, str | bytes]) -> str:
         ('name = "small mill"', 'name = "=mill"', "name"),
         ('name = "W"', 'name = "-W"', "[[axes]] number 2"),
         ('id = "theta_2"', 'id = "+theta_2"', "[[sensors]] number 2"),
-        ('location = "hall"', 'location = "@hall"', "location"),
+        ('location = "hall"', 'location = "hall\\u200f"', "location"),
         ('name = "X motor"', 'name = "X\\u0007motor"', "[[heat_sources]] number 1"),
     ],
 )
@@ -50,6 +75,15 @@ def test_the_machine_file_may_not_bring_them_in(tmp_path: Path, old: str, new: s
     assert "error: machine.toml: " in message
     assert place in message
     assert "cannot be used here: it " in message
+
+
+def test_where_a_sensor_sits_is_said_freely_and_written_as_a_text(tmp_path: Path) -> None:
+    files = dict(valid_files())
+    files["machine.toml"] = str(files["machine.toml"]).replace('location = "hall"', 'location = "+Y side, -Z"')
+    machine = read_folder(write_files(tmp_path / "m", files)).machine
+    (sensor,) = (one for one in machine.sensors if one.location == "+Y side, -Z")
+    rows = csv.DictReader(sensors_csv(make_setup(machine, PlanOptions())).splitlines())
+    assert {row["sensor"]: row["location"] for row in rows}[sensor.id] == "'+Y side, -Z"
 
 
 def test_campaigns_settings_and_cells_may_not_either(tmp_path: Path) -> None:

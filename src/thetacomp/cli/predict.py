@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,7 +33,7 @@ def predict(
         Path | None, typer.Option(help="Table: t_s, spindle_rpm; where the model was trained with the spindle speed.")
     ] = None,
     reference: Annotated[
-        str, typer.Option(help="Moment of zero: first_row, model, or a time of the temperature table.")
+        str, typer.Option(help="Moment of zero: first_row, model, or a time in s (ISO 8601 where the table has dates).")
     ] = "first_row",
     as_json: JsonOption = False,
 ) -> None:
@@ -47,7 +48,35 @@ def _predict(
 
     inputs = [model_path, temperatures_path, positions_path, *([duty_path] if duty_path is not None else [])]
     with output_table(out, inputs):
+        _refuse_foreign(out)
         return _predicted(model_path, temperatures_path, positions_path, duty_path, out, reference)
+
+
+def _refuse_foreign(out: Path) -> None:
+    """Only an older prediction is replaced, and a file without content."""
+    from thetacomp.errors import OutputError
+
+    if not out.is_file() or not out.stat().st_size:
+        return
+    names = _column_names(out)
+    if names[:1] != ["t_s"] or names[-1:] != ["in_domain"]:
+        found = f"its columns are {', '.join(names[:3])}{', …' * (len(names) > 3)}" if any(names) else "no table"
+        raise OutputError(out, f"it holds no prediction ({found}) and would be lost.", "name another file.")
+
+
+def _column_names(path: Path) -> list[str]:
+    """What stands in the header of a table, however it was saved again; empty where it cannot be read."""
+    from thetacomp.reading.problems import UnreadableError
+    from thetacomp.reading.sources import read_source
+
+    if path.suffix.lower() == ".csv":
+        with path.open("rb") as file:
+            head = file.readline(10_000).decode("utf-8-sig", errors="replace")
+        return ["".join(filter(str.isprintable, name)).strip(' "') for name in re.split("[,;\t]", head)]
+    try:
+        return [column.header for column in read_source(path, path.name).columns]
+    except UnreadableError:
+        return []
 
 
 def _predicted(
@@ -129,8 +158,8 @@ def _reference(text: str, temperatures: Temperatures) -> Reference:
         moment = datetime.fromisoformat(text)
     except ValueError:
         raise AnalysisError(
-            f"--reference {text}: expected first_row, model or a time of the temperature table"
-            " (seconds, or ISO 8601 where the table has dates)."
+            f"--reference {text}: expected first_row, model or a time in s, also where the tables count in min or h"
+            " (ISO 8601 where they have dates)."
         ) from None
     if temperatures.t_s[-1] < EARLIEST_DATE_S:
         raise AnalysisError(

@@ -10,11 +10,13 @@ from thetacomp.model.document import AxisLaw, Component, Fallback, ModelDocument
 from thetacomp.model.fallback import without_sensor
 from thetacomp.model.filters import InputLayout
 from thetacomp.model.leverage import Leverage
+from thetacomp.safe_names import name_fault, text_fault
 
 # 100 mm, or 10 % of a length, for one unit of an input: far beyond any machine, near enough to keep sums finite.
 LARGEST_UM = 1e5
 COLDEST_DEGC, HOTTEST_DEGC = -60.0, 250.0
-LONGEST_MM = 1e6
+LONGEST_MM, SHORTEST_MM = 1e6, 1e-3
+FURTHEST_P0_MM = 1e5
 SMALLEST = 1e-15
 TERMS = ("intercept", "slope", "bend")
 
@@ -41,7 +43,41 @@ def problems(model: ModelDocument) -> list[str]:
             if room != "prediction" and law.layout.time_constants_s:
                 out.append(f"{place}: its inputs are not plain temperatures")
             out += [f"{place}: {problem}" for problem in _law(law, angles=room == "rotations")]
-    return out
+    return [*out, *_texts(model)]
+
+
+def _texts(model: ModelDocument) -> Iterator[str]:
+    """Names reach tables and programs as they do from the machine file, so the same rules hold; texts reach pages."""
+    training = model.training
+    laws = (*model.control.values(), *model.prediction.values(), *model.rotations.values())
+    parts: list[AxisLaw | Fallback] = [*laws, *(fallback for law in laws for fallback in law.fallbacks)]
+    names = {
+        "machine": (model.machine,),
+        "axes": [axis.sensor or "" for axis in model.axes],
+        "length": (model.length.workpiece_sensor or "", *model.length.zero_mm),
+        "training": (training.mode, training.instrument, *training.campaigns),
+        "laws": dict.fromkeys(name for part in parts for name in _named(part)),
+    }
+    for place, found in names.items():
+        yield from (f"{place}: {name!r} is no name: {fault}" for name in found if (fault := name_fault(name)))
+    texts = [model.version, model.created, model.method]
+    texts += [*model.notes, *model.failed_checks, *model.failed_static_checks]
+    texts += [text for part in parts for text in _told(part)]
+    yield from (f"{text[:60]!r} is no text: {fault}" for text in texts if (fault := text_fault(text)))
+
+
+def _named(part: AxisLaw | Fallback) -> tuple[str, ...]:
+    """Sensors and the campaign that a law or a fallback names."""
+    border = part.border or Border()
+    return (*part.layout.sensors, *border.temperature_degC, *border.rise_K, part.reference.campaign)
+
+
+def _told(part: AxisLaw | Fallback) -> Iterator[str]:
+    """What a law or a fallback says in words."""
+    for component in part.components.values():
+        yield from (component.equation, component.band.sentence)
+    if part.border is not None and part.border.distance is not None:
+        yield part.border.distance.sentence
 
 
 def _law(law: AxisLaw, *, angles: bool) -> list[str]:
@@ -78,10 +114,15 @@ def _travel(law: AxisLaw) -> Iterator[str]:
             yield "positions of a drift"
     elif law.p0_mm is None or law.p_min_mm is None or law.p_max_mm is None:
         yield "an axis without a slope, P0 or range of positions"
-    elif not law.p_min_mm < law.p_max_mm:
+    elif not law.p_max_mm - law.p_min_mm >= SHORTEST_MM:
         yield f"the measured travel from {law.p_min_mm:g} to {law.p_max_mm:g} mm has no length"
     elif max(abs(law.p0_mm), abs(law.p_min_mm), abs(law.p_max_mm)) > LONGEST_MM:
         yield f"a position beyond {LONGEST_MM / 1e6:g} km"
+    elif max(law.p_min_mm - law.p0_mm, law.p0_mm - law.p_max_mm) > FURTHEST_P0_MM:
+        yield (
+            f"P0 at {law.p0_mm:g} mm lies more than {FURTHEST_P0_MM / 1000:g} m outside the measured travel"
+            f" from {law.p_min_mm:g} to {law.p_max_mm:g} mm"
+        )
 
 
 def _layout(layout: InputLayout) -> Iterator[str]:

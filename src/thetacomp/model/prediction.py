@@ -340,8 +340,9 @@ def _reference_s(temperatures: Temperatures, reference: Reference) -> float:
     at_s = float(temperatures.t_s[0]) if reference == "first_row" else float(reference)
     if not temperatures.t_s[0] <= at_s <= temperatures.t_s[-1]:
         raise AnalysisError(
-            f"reference {exact(at_s)} s lies outside the temperatures, which run from {exact(temperatures.t_s[0])}"
-            f" to {exact(temperatures.t_s[-1])} s. Fix: choose a time inside, or `--reference model`."
+            f"reference {exact(at_s) or at_s} s lies outside the temperatures,"
+            f" which run from {exact(temperatures.t_s[0])} to {exact(temperatures.t_s[-1])} s."
+            " Fix: choose a time inside, or `--reference model`."
         )
     return at_s
 

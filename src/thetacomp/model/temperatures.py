@@ -32,8 +32,9 @@ class Temperatures:
         absent = [name for name in sensors if name not in self.sensor_ids]
         if absent:
             raise AnalysisError(
-                f"temperatures: no column {', '.join(absent)}, which the model needs as an input;"
-                f" found {', '.join(self.sensor_ids)}. Fix: add the column, or give it the name used in training."
+                f"temperatures: no column {', '.join(absent)}, which the model needs as an input, or no value in it;"
+                f" found {', '.join(self.sensor_ids)}."
+                " Fix: add the column, fill it, or give it the name used in training."
             )
         columns = [self.sensor_ids.index(name) for name in sensors]
         return replace(self, sensor_ids=tuple(sensors), value_degC=self.value_degC[:, columns])

@@ -12,7 +12,7 @@ from thetacomp.planning.foundation import FoundationTarget, standard_um
 from thetacomp.planning.setup import Setup
 from thetacomp.planning.timetable import COLD_ROUNDS, Block, Timetable, moved_mm, sweep_span_s
 from thetacomp.planning.uncertainty import VisibleChange
-from thetacomp.table_file import Cell, csv_text, fixed
+from thetacomp.table_file import Cell, csv_text, fixed, free_text
 
 
 def clock(timetable: Timetable, t_s: float) -> str:
@@ -136,7 +136,9 @@ def sensors_csv(setup: Setup) -> str:
     header = ["sensor", "location", "role", "axis", "zero_reading_degC", "difference_to_median_K"]
     header += ["rise_by_hand_K", "channel_that_rose", "passed", "date_and_name"]
     blank = [""] * 6
-    return csv_text(header, [[s.id, s.location, s.role, s.axis or "", *blank] for s in setup.machine.sensors])
+    return csv_text(
+        header, [[s.id, free_text(s.location), s.role, s.axis or "", *blank] for s in setup.machine.sensors]
+    )
 
 
 # --- the campaign's folder --------------------------------------------------------------------------------------------
