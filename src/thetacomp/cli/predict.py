@@ -71,7 +71,7 @@ def _column_names(path: Path) -> list[str]:
 
     if path.suffix.lower() == ".csv":
         with path.open("rb") as file:
-            head = file.readline(10_000).decode("utf-8-sig", errors="replace")
+            head = file.readline(10_000).decode(errors="replace")
         return ["".join(filter(str.isprintable, name)).strip(' "') for name in re.split("[,;\t]", head)]
     try:
         return [column.header for column in read_source(path, path.name).columns]
