@@ -11,7 +11,7 @@ from scipy import stats
 from thetacomp.arrays import Floats
 from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, MachineFolder, Parameters
-from thetacomp.fitting.build import build_document, training_ranges
+from thetacomp.fitting.build import build_document, key_point_law, training_ranges
 from thetacomp.fitting.fallbacks import axis_fallbacks
 from thetacomp.fitting.key_point_law import AxisModel, fit_axis
 from thetacomp.folds import hold_out
@@ -172,6 +172,14 @@ def test_a_stored_component_is_the_regression_of_its_states() -> None:
             assert one.residual_um == pytest.approx((np.sqrt(np.mean(left**2)), np.abs(left).max()))
             spread = np.sum((states.intercept_um[:, k] - states.intercept_um[:, k].mean()) ** 2)
             assert one.terms[0].r_squared == pytest.approx(1.0 - covariance[0, 0] * dof / spread)
+
+
+def test_the_reference_is_that_of_the_first_state_even_where_its_campaign_has_one() -> None:
+    _, ((states, _),) = trained(campaign("p", 20.0, axes="X"), campaign("q", 21.0, axes="X"))
+    rest = states.take(np.concatenate([[3], np.flatnonzero(states.campaign == 1)]))
+    later = replace(rest, reference_s=rest.reference_s + 7.0 * rest.campaign)
+    law = key_point_law(later, fit_axis(later, ("a",)), training_ranges([(later, fit_axis(later, ("a",)))]), "campaign")
+    assert (law.reference.campaign, law.reference.t_s, law.reference.inputs) == ("p", 1000.0, pytest.approx((20.0,)))
 
 
 def test_components_share_a_leverage_unless_a_value_is_missing_in_one() -> None:

@@ -100,6 +100,48 @@ def test_flag_is_quiet_in_the_season_of_training(seasons: list[Season]) -> None:
     assert "40 of training stays inside the border with a probability of about 90%" in seasons[0].validity.sentence
 
 
+@pytest.mark.parametrize(("campaigns", "asks"), [(8, True), (9, False), (12, False)])
+def test_more_campaigns_are_asked_for_only_where_they_are_needed(campaigns: int, asks: bool) -> None:
+    """90 % needs 9 campaigns: m / (m + 1)."""
+    rng = np.random.default_rng(2)
+    validity = calibrate_validity(rng.normal(size=(10 * campaigns, 2)), np.repeat(np.arange(campaigns), 10))
+    level = min(0.9, campaigns / (campaigns + 1))
+    sentence = f"A campaign like the {campaigns} of training stays inside the border with a probability of about"
+    more = " 90% was wanted: measure more campaigns." if asks else ""
+    assert validity.sentence == f"{sentence} {level:.0%}.{more}"
+    assert (validity.quiet_level, validity.campaigns) == (pytest.approx(level), campaigns)
+
+
+def test_the_border_goes_by_where_training_was_not_by_where_its_numbers_begin() -> None:
+    """Inputs counted from another zero, as °C are, lie as far from training as before."""
+    rng = np.random.default_rng(3)
+    inputs, campaign = rng.normal(size=(120, 3)) @ rng.normal(size=(3, 3)), np.repeat(np.arange(6), 20)
+    new = 3.0 * rng.normal(size=(40, 3))
+    moved = np.array([20.0, -300.0, 5.0])
+    found = calibrate_validity(inputs, campaign).distance(new)
+    np.testing.assert_allclose(calibrate_validity(inputs + moved, campaign).distance(new + moved), found, rtol=1e-6)
+    assert found.min() < 1.0 < found.max()
+
+
+def test_the_border_is_a_quantile_of_what_each_campaign_showed_the_others() -> None:
+    """One input; how far a campaign goes in half spans of the others, and against the root of their mean square.
+
+    Campaigns 0 to 3 reach ±1, ±2, ±3, ±4, so seen from the others they go 1/4, 2/4, 3/4 and 4/3 half spans.
+    """
+    size = np.repeat([1.0, 2.0, 3.0, 4.0], 2)
+    inputs, campaign = (size * np.tile([-1.0, 1.0], 4))[:, None], np.repeat(np.arange(4), 2)
+    validity = calibrate_validity(inputs, campaign)
+    assert (validity.middle, validity.half_span) == ((0.0,), (4.0,))
+    # root of the leverage: size over the root of the mean square of the others
+    others = [np.mean(np.delete([1.0, 4.0, 9.0, 16.0], k)) for k in range(4)]
+    roots = np.array([1.0, 2.0, 3.0, 4.0]) / np.sqrt(others)
+    reach = np.array([1 / 4, 2 / 4, 3 / 4, 4 / 3])
+    assert validity.range_unit == pytest.approx(np.median(reach))
+    assert validity.leverage_unit == pytest.approx(np.median(roots), rel=1e-2)
+    scores = np.maximum(reach / np.median(reach), roots / np.median(roots))
+    assert validity.limit == pytest.approx(scores.max(), rel=1e-2)  # 4 campaigns attain 80 %: the largest score
+
+
 def test_few_campaigns_say_how_quiet_the_flag_can_be() -> None:
     rng = np.random.default_rng(0)
     validity = calibrate_validity(rng.normal(size=(30, 2)), np.repeat(np.arange(3), 10))
