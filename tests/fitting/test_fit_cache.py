@@ -21,8 +21,13 @@ from thetacomp.preparation import prepare
 from thetacomp.validation.judge import judge
 
 
-def test_equal_states_are_fitted_once_and_others_anew() -> None:
-    (states,) = prepare(folder(1, 2), faults="ignore").training
+@pytest.fixture(scope="module")
+def states() -> AxisStates:
+    (one,) = prepare(folder(1, 2), faults="ignore").training
+    return one
+
+
+def test_equal_states_are_fitted_once_and_others_anew(states: AxisStates) -> None:
     made: list[AxisStates] = []
     cached = CachedProcedure(made.append)
     cached(states)
@@ -58,8 +63,7 @@ def changed(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(AxisStates)])
-def test_whatever_differs_in_the_states_is_another_fit(name: str) -> None:
-    (states,) = prepare(folder(1, 2), faults="ignore").training
+def test_whatever_differs_in_the_states_is_another_fit(name: str, states: AxisStates) -> None:
     made: list[AxisStates] = []
     cached = CachedProcedure(made.append)
     other = replace(states, **{name: changed(getattr(states, name))})
@@ -68,8 +72,7 @@ def test_whatever_differs_in_the_states_is_another_fit(name: str) -> None:
     assert made == [states, other]
 
 
-def test_the_same_bytes_in_another_shape_or_type_are_another_fit() -> None:
-    (states,) = prepare(folder(1, 2), faults="ignore").training
+def test_the_same_bytes_in_another_shape_or_type_are_another_fit(states: AxisStates) -> None:
     made: list[AxisStates] = []
     cached = CachedProcedure(made.append)
     n = len(states)
