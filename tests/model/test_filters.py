@@ -162,7 +162,8 @@ def test_a_layout_with_speeds_needs_a_duty_that_has_them(columns: dict[str, np.n
     with pytest.raises(AnalysisError, match=r"there is no spindle_rpm\. Fix: give a duty table"):
         recorded_inputs(InputLayout(sensors=("a",), base_degC=20.0), heat, duty)
     still = InputLayout(sensors=("a",), speed_powers=(), base_degC=20.0)
-    assert recorded_inputs(still, heat, duty)[1].shape == (3, 1 + 7)
+    names = [name for block in still.blocks.values() for name in block]
+    assert recorded_inputs(still, heat, duty)[1].shape == (3, len(names))
 
 
 def test_a_speed_holds_until_the_next_entry_and_before_the_first_one_the_first() -> None:
