@@ -18,6 +18,7 @@ from thetacomp.fitting.key_point_law import fit_axis
 from thetacomp.fitting.procedures import paper_procedure
 from thetacomp.fitting.rotations import with_joint_form
 from thetacomp.fitting.training import PAPER_METHOD, train
+from thetacomp.model.check import problems
 from thetacomp.preparation import Prepared, prepare
 from thetacomp.separation import Separated, separate_all
 
@@ -48,8 +49,11 @@ def test_heat_history_is_fitted_for_the_axes_asked_for(
     trained = train(beside_drift, axes, lost=())
     assert set(trained.model.prediction) == expected
     assert set(trained.model.control) == {"Y", ""}
-    for name in trained.model.prediction:
-        assert trained.model.prediction[name].axis == name
+    for name, law in trained.model.prediction.items():
+        (states,) = (one for one in beside_drift.training if one.axis == name)
+        travel = (states.p0_mm, states.p_min_mm, states.p_max_mm) if name else (None, None, None)
+        assert (law.axis, (law.p0_mm, law.p_min_mm, law.p_max_mm)) == (name, travel)
+    assert problems(trained.model) == []
 
 
 @pytest.mark.parametrize(("lost", "history", "static"), [((), (), 0), (("b",), ("b",), 1), (None, ("a", "b"), 1)])
