@@ -50,7 +50,7 @@ def calibrated(seed: int, campaigns: int) -> Calibrated:
     machine = synthetic_machine(rng)
     known, unseen = machine.record(rng, campaigns, WINTER), machine.record(rng, UNSEEN, WINTER)
     inputs, new = inputs_of(known), inputs_of(unseen)
-    model = HistoryRidge(LAYOUT.blocks, history_candidates(LAYOUT))
+    model = HistoryRidge(LAYOUT.blocks, history_candidates(LAYOUT, 3))
     model.fit(inputs, known.displacement_um, known.campaign)
     left_out = model.left_out_coef_[np.searchsorted(model.groups_, known.campaign)]
     residual_um = known.displacement_um - np.einsum("ij,ij->i", inputs, left_out)

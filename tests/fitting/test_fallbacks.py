@@ -243,7 +243,7 @@ def test_a_sensor_is_lost_in_the_middle_of_a_shift() -> None:
     rest = LAYOUT.model_copy(update={"sensors": SENSORS[1:]})
     predicted = []
     for layout in (LAYOUT, rest):
-        model = HistoryRidge(layout.blocks, history_candidates(layout))
+        model = HistoryRidge(layout.blocks, history_candidates(layout, 3))
         model.fit(inputs_of(known, layout), known.displacement_um, known.campaign)
         predicted.append(model.predict(inputs_of(shift, layout)))
     full, fallback = predicted

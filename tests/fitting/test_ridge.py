@@ -42,7 +42,7 @@ def machine(seed=0):
 
 
 def procedure():
-    return HistoryRidge(LAYOUT.blocks, history_candidates(LAYOUT))
+    return HistoryRidge(LAYOUT.blocks, history_candidates(LAYOUT, 3))
 
 
 def test_path_equals_scikit_learns_ridge():

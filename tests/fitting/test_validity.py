@@ -52,7 +52,9 @@ def season(seed: int) -> Season:
     known, home = machine.record(rng, 40, WINTER), machine.record(rng, 40, WINTER)
     year, summer = machine.record(rng, YEAR, WINTER, ramp_to=SUMMER), machine.record(rng, 20, SUMMER)
     inputs = inputs_of(known)
-    model = HistoryRidge(LAYOUT.blocks, history_candidates(LAYOUT)).fit(inputs, known.displacement_um, known.campaign)
+    model = HistoryRidge(LAYOUT.blocks, history_candidates(LAYOUT, 3)).fit(
+        inputs, known.displacement_um, known.campaign
+    )
     validity = calibrate_validity(domain_inputs(known), known.campaign)
 
     def distance(recording: Recording) -> Floats:
@@ -161,7 +163,7 @@ def test_fade_catches_a_model_that_runs_away_and_costs_little_where_it_does_not(
     assert rms(faded[far]) < 0.95 * rms(blind_um[far])
     np.testing.assert_array_equal(faded[~far], blind_um[~far])
     # the shrunk model extrapolates well on a machine that is linear: there the fade is an insurance premium
-    ridge = HistoryRidge(long.blocks, history_candidates(long))
+    ridge = HistoryRidge(long.blocks, history_candidates(long, 3))
     ridge.fit(inputs, known.displacement_um, known.campaign)
     blind_um, faded = left_um(ridge.coef_)
     assert rms(faded) < min(0.15 * nothing_um, rms(blind_um) + 1.5)

@@ -40,6 +40,7 @@ def history_procedure(states: AxisStates) -> HistoryModel:
         raise AnalysisError(f"axis {states.axis or 'drift'}: no sensor was read in all campaigns.")
     if len(np.unique(states.campaign)) < MIN_CAMPAIGNS:
         raise AnalysisError(f"axis {states.axis or 'drift'}: heat history needs {MIN_CAMPAIGNS} training campaigns.")
-    ridge = HistoryRidge(states.layout.blocks, history_candidates(states.layout))
+    candidates = history_candidates(states.layout, len(np.unique(states.campaign)))
+    ridge = HistoryRidge(states.layout.blocks, candidates)
     ridge.fit(states.history, states.targets(), states.campaign)
     return HistoryModel(states.axis, states.components, states.layout, ridge)
