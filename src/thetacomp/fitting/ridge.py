@@ -154,10 +154,13 @@ class _Decomposition:
         self.v: Floats = z.T @ vectors / self.s if wide else vectors
         self.y, self.uy, self.n = y, self.u.T @ y, len(z)
 
-    def coefficients(self, strength: float, y: Floats | None = None) -> Floats:
-        """Coefficients (k, m) of the scaled inputs; of the part `Uᵀ y` (r, m) of other targets where it is given."""
-        gain = self.s / (self.square + self.n * strength)
-        return np.asarray(self.v @ (gain[:, None] * (self.uy if y is None else y)))
+    def coefficients(self, strength: float, campaign: Ints) -> tuple[Floats, Floats]:
+        """Coefficients (k, m) of the scaled inputs, and without each campaign of rows (n,), (campaigns, k, m)."""
+        gain = (self.s / (self.square + self.n * strength))[:, None]
+        left_um = self.left_out(strength, campaign)
+        shift = np.array([self.u[campaign == c].T @ left_um[campaign == c] for c in range(campaign[-1] + 1)])
+        whole = self.v @ (gain * self.uy)
+        return whole, whole - self.v @ (gain * shift)
 
     def left_out(self, strength: float, together: Ints) -> Floats:
         """Errors (n, m) of rows by fits without those that are left `together` with them, numbered from 0 in order."""
@@ -169,12 +172,6 @@ class _Decomposition:
         u[together, place], hat_u[together, place], r[together, place] = self.u, shrunk, rest
         kept = np.eye(counts.max()) * (1.0 + 1e-9) - hat_u @ u.transpose(0, 2, 1)
         return np.asarray(np.linalg.solve(kept, r)[together, place])
-
-    def left_out_coefficients(self, strength: float, left_um: Floats, campaign: Ints, whole: Floats) -> Floats:
-        """Coefficients (campaigns, k, m) without each campaign, from its errors (n, m) and those of all rows."""
-        gain = self.s / (self.square + self.n * strength)
-        shift = [self.u[campaign == c].T @ left_um[campaign == c] for c in range(campaign[-1] + 1)]
-        return np.asarray(whole - self.v @ (gain[:, None] * np.array(shift)))
 
 
 class HistoryRidge(Regressor):
@@ -189,6 +186,9 @@ class HistoryRidge(Regressor):
     have seen it, so residuals against it calibrate a band. `group_weights_` is below 1 for an outlying group.
     """
 
+    groups_: NDArray[Any]
+    group_weights_: Floats
+
     def __init__(
         self,
         blocks: Mapping[str, tuple[str, ...]],
@@ -199,19 +199,22 @@ class HistoryRidge(Regressor):
         self.candidates = candidates
         self.strengths = strengths
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike) -> HistoryRidge:
-        """Choose strengths and weights on rows that are left out, then fit on all.
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike, like: HistoryRidge | None = None) -> HistoryRidge:
+        """Choose strengths and weights on rows that are left out, then fit on all; or take both from a fit `like` it.
 
         A row with a missing input or target is left out. Raises AnalysisError for fewer than 2 groups or shapes that
         do not fit together.
         """
         rows = Stretches.of(*self._checked(X, y, groups))
-        weight = np.ones(len(rows.labels))
-        averaged = self._average(rows, weight)
-        if len(rows.labels) >= OUTLYING_CAMPAIGNS:
-            weight = _outlying(rows, averaged.left_out)
-            if weight.min() < 1.0:
-                averaged = self._average(rows, weight)
+        if like is not None:
+            weight = np.array([dict(zip(like.groups_, like.group_weights_, strict=True))[g] for g in rows.labels])
+            averaged = self._average(rows, weight, like)
+        else:
+            weight = np.ones(len(rows.labels))
+            averaged = self._average(rows, weight)
+            if len(rows.labels) >= OUTLYING_CAMPAIGNS:
+                weight = _outlying(rows, averaged.left_out)
+                averaged = self._average(rows, weight) if weight.min() < 1.0 else averaged
         several = np.ndim(y) == 2
         self.coef_ = averaged.coef if several else averaged.coef[0]
         self.left_out_coef_ = averaged.left_out if several else averaged.left_out[:, 0]
@@ -220,36 +223,38 @@ class HistoryRidge(Regressor):
         self.n_features_in_ = rows.x.shape[1]
         return self
 
-    def _average(self, rows: Stretches, weight: Floats) -> _Average:
-        """All candidates at their best strengths, averaged; campaigns count by `weight` (campaigns,)."""
-        strengths, together, root = np.asarray(self.strengths), rows.left_out_together(), np.sqrt(weight)[rows.campaign]
+    def _average(self, rows: Stretches, group_weight: Floats, like: HistoryRidge | None = None) -> _Average:
+        """All candidates at their best strengths, averaged; groups count by `group_weight` (groups,)."""
+        root = np.sqrt(group_weight)[rows.campaign][:, None]
         spread, blocks, m = rows.x.std(axis=0), self._block_columns(), rows.y.shape[1]
-        y = rows.y * root[:, None]
-        size = np.maximum(np.mean(y**2, axis=0), 1e-12)
+        z, y = rows.x * root, rows.y * root
         shape = (m, len(self.candidates))
-        mse, chosen, weights = np.empty(shape), np.empty(shape), np.empty(shape)
+        mse, strengths, weights = np.full(shape, np.nan), np.empty(shape), np.empty(shape)
         coef = np.zeros((m, rows.x.shape[1]))
         left_out = np.zeros((len(rows.labels), *coef.shape))
         for i, candidate in enumerate(self.candidates):
             uses = [(use, blocks[use.block]) for use in candidate]
             columns, width = np.concatenate([own for _, own in uses]), _widths(uses, spread)
-            fitted = _Decomposition(rows.x[:, columns] * width * root[:, None], y)
-            errors = np.array([np.mean(fitted.left_out(s, together) ** 2, axis=0) for s in strengths])
-            best = np.argmin(errors, axis=0)
-            mse[:, i], chosen[:, i] = errors[best, np.arange(m)], strengths[best]
-            weights[:, i] = (mse[:, i] / size + 1e-12) ** -_WEIGHT_POWER
-            for strength in np.unique(chosen[:, i]):
-                own = np.flatnonzero(chosen[:, i] == strength)
-                left_um = fitted.left_out(strength, rows.campaign)
-                whole = fitted.coefficients(strength)
-                part = fitted.left_out_coefficients(strength, left_um, rows.campaign, whole)
-                at = np.ix_(own, columns)
-                coef[at] += weights[own, i, None] * (whole * width[:, None]).T[own]
-                left_out[:, own[:, None], columns] += (
-                    weights[own, i, None] * ((part * width[:, None]).transpose(0, 2, 1)[:, own])
-                )
+            fitted = _Decomposition(z[:, columns] * width, y)
+            if like is None:
+                mse[:, i], strengths[:, i] = self._best(fitted, rows.left_out_together())
+                weights[:, i] = (mse[:, i] / np.maximum(np.mean(y**2, axis=0), 1e-12) + 1e-12) ** -_WEIGHT_POWER
+            else:
+                mse[:, i], strengths[:, i] = like.held_out_rmse_um_[:, i] ** 2, like.strengths_[:, i]
+                weights[:, i] = like.weights_[:, i]
+            for strength in np.unique(strengths[:, i]):
+                own = np.flatnonzero(strengths[:, i] == strength)
+                whole, without = fitted.coefficients(strength, rows.campaign)
+                weight = weights[own, i, None]
+                coef[np.ix_(own, columns)] += weight * (whole * width[:, None]).T[own]
+                left_out[:, own[:, None], columns] += weight * (without * width[:, None]).transpose(0, 2, 1)[:, own]
         total = weights.sum(axis=1, keepdims=True)
-        return _Average(coef / total, left_out / total, weights / total, chosen, np.sqrt(mse))
+        return _Average(coef / total, left_out / total, weights / total, strengths, np.sqrt(mse))
+
+    def _best(self, fitted: _Decomposition, together: Ints) -> tuple[Floats, Floats]:
+        """Least mean square error (m,) on left-out rows, and the strength (m,) that gives it."""
+        errors = np.array([np.mean(fitted.left_out(s, together) ** 2, axis=0) for s in self.strengths])
+        return errors.min(axis=0), np.asarray(self.strengths)[errors.argmin(axis=0)]
 
     def predict(self, X: ArrayLike) -> Floats:
         """Errors (n,) or (n, targets) in µm."""

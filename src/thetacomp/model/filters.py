@@ -237,6 +237,19 @@ class InputLayout(Strict):
         differences = (temperature[:, None, :] - lags[:, :, :p]).reshape(len(signals), -1)
         return np.hstack([temperature, differences, speed, speed * rise_K])
 
+    def without(self, sensor: str) -> InputLayout:
+        """The layout without one of its sensors."""
+        return self.model_copy(update={"sensors": tuple(name for name in self.sensors if name != sensor)})
+
+    def running_without(self, sensor: str, inputs: Floats) -> Floats:
+        """Running inputs of the layout `without` a sensor from those of this layout, (n, running)."""
+        p, taus = len(self.sensors), len(self.time_constants_s)
+        speeds = p * (1 + taus) + np.arange(len(self.speed_powers) * taus)
+        own = inputs[:, : p * (1 + taus)].reshape(len(inputs), 1 + taus, p)
+        left = np.delete(own, self.sensors.index(sensor), axis=2)
+        rise_K = left[:, 0].mean(axis=1, keepdims=True) - self.base_degC
+        return np.hstack([left.reshape(len(inputs), -1), inputs[:, speeds], inputs[:, speeds] * rise_K])
+
     def since(self, inputs: Floats, reference: Floats) -> Floats:
         """All inputs of the law (n, k) since a reference (running,), from running inputs (n, running)."""
         moved: Floats = np.asarray(inputs) - reference
