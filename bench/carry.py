@@ -4,8 +4,8 @@
     python bench/carry.py --only lathe --jobs 2    # the machines whose name holds a word
     python bench/carry.py --families               # other families too, which takes long
 
-Made machines and prepared states are kept in a folder outside the tree (--cache), so that a changed model is judged
-within minutes. The version under test is the one that `import thetacomp` finds: PYTHONPATH=TREE/src.
+Made machines, prepared states and measured rows are kept in a folder outside the tree (--cache), so that a changed
+model is judged within minutes. The version under test is the one that `import thetacomp` finds: PYTHONPATH=TREE/src.
 """
 
 from __future__ import annotations
@@ -14,37 +14,56 @@ import argparse
 import getpass
 import sys
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from carry.machines import machines, prepared_of
+from carry import store
+from carry.machines import machines, prepared_of, rows_path
 from carry.measure import Row, measure
-from carry.page import HEAD, line
+from carry.page import families_table, put_into, summary, tables
 
 from thetacomp.errors import AnalysisError
 
-SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+HERE = Path(__file__).parent
+SHARED_DATA = HERE.parents[1] / "shared" / "data"
 CACHE = Path(tempfile.gettempdir()) / f"thetacomp-carry-{getpass.getuser()}"
 
 
+@dataclass(frozen=True)
+class Job:
+    """One machine on some of its campaigns."""
+
+    machine: str
+    campaigns: int
+    data: Path
+    cache: Path
+    families: bool
+
+
 def main() -> int:
-    """Read the command line, measure the rows and print them."""
-    asked = _options().parse_args()
-    chosen = [
-        (machine.name, count)
+    """Read the command line, measure the rows, print the tables and write the page."""
+    options = _options()
+    asked = options.parse_args()
+    if asked.page and (asked.only or asked.families):
+        options.error("--page holds all machines without families: leave out --only and --families")
+    asked.cache.mkdir(parents=True, exist_ok=True, mode=0o700)
+    jobs = [
+        Job(machine.name, count, asked.data, asked.cache, asked.families)
         for machine in machines(asked.data)
         for count in machine.rows
         if asked.only in f"{machine.name} {count}"
     ]
-    jobs = [(name, count, asked.data, asked.cache, asked.families) for name, count in chosen]
-    print(HEAD)
-    if asked.jobs == 1:
-        rows = [_told(_measured(job)) for job in jobs]
-    else:
-        with ProcessPoolExecutor(asked.jobs, mp_context=get_context("spawn")) as pool:
-            rows = [_told(row) for row in pool.map(_measured, jobs)]
-    return 0 if all(rows) else 1
+    if not jobs:
+        options.error(f"no row holds {asked.only!r} in its name; rows are named such as 'lumped lathe 12'")
+    rows, failures = _all_rows(jobs, asked.jobs)
+    text = tables(rows) + "\n\n" + summary(rows)
+    print(text if not asked.families else text + "\n\n" + families_table(rows))
+    if asked.page and not failures:
+        put_into(asked.page, text)
+    return 1 if failures else 0
 
 
 def _options() -> argparse.ArgumentParser:
@@ -52,26 +71,43 @@ def _options() -> argparse.ArgumentParser:
     options.add_argument("--only", default="", help="rows whose name holds this text, such as lathe or 'twin 1 9'")
     options.add_argument("--jobs", type=int, default=1, help="processes side by side")
     options.add_argument("--families", action="store_true", help="the families of `analyze --compare` as well")
-    options.add_argument("--cache", type=Path, default=CACHE, help=f"made machines are kept there ({CACHE})")
+    options.add_argument("--page", type=Path, help="document whose table is written anew between its two marks")
+    options.add_argument(
+        "--cache", type=Path, default=CACHE, help="what is made once is kept there (default %(default)s)"
+    )
     options.add_argument("--data", type=Path, default=SHARED_DATA, help="folder of the shared data")
     return options
 
 
-def _measured(job: tuple[str, int, Path, Path, bool]) -> Row | str:
-    name, count, data, cache, families = job
-    machine = next(one for one in machines(data) if one.name == name)
+def _all_rows(jobs: Sequence[Job], processes: int) -> tuple[list[Row], int]:
+    """The rows of all jobs in order, told as they come, and how many jobs failed."""
+    rows: list[Row] = []
+    failures = 0
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        for found in pool.map(_measured, jobs):
+            if isinstance(found, str):
+                failures += 1
+                print(found, file=sys.stderr, flush=True)
+                continue
+            for row in found:
+                print(f"{row.name}, {row.campaigns}: {row.ratio():.2f}", file=sys.stderr, flush=True)
+            rows += found
+    return rows, failures
+
+
+def _measured(job: Job) -> tuple[Row, ...] | str:
+    """Rows of a job, or what stood in the way. What this very program has measured before is not measured again."""
+    machine = next(one for one in machines(job.data) if one.name == job.machine)
+    path = rows_path(machine, job.campaigns, job.cache, "families" if job.families else "")
+    if path.exists():
+        return store.load(path)  # type: ignore[no-any-return]
     try:
-        return measure(name, prepared_of(machine, count, cache), families)
+        prepared = prepared_of(machine, job.campaigns, job.cache)
+        rows = measure(machine.name, prepared, machine.apart, job.families)
     except AnalysisError as exc:
-        return f"{name}, {count} campaigns: {exc}"
-
-
-def _told(row: Row | str) -> Row | None:
-    if isinstance(row, str):
-        print(row, file=sys.stderr, flush=True)
-        return None
-    print(line(row), flush=True)
-    return row
+        return f"{machine.name}, {job.campaigns} campaigns: {exc}"
+    store.save(path, rows)
+    return rows
 
 
 if __name__ == "__main__":

@@ -7,8 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from carry import lumped, store
+import thetacomp
+from carry import lumped, store, twins
 from carry.lumped_machines import LUMPED
+from carry.twins import TWINS
 from thetacomp.preparation import Prepared, prepare
 from thetacomp.reading import read_folder
 
@@ -16,46 +18,48 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 EXAMPLES = ROOT / "src" / "thetacomp" / "examples"
 SPINDLE = ROOT / "examples" / "spindle"
+HALL = ROOT / "tests" / "builders"
 RECORDING = Path("caiviac_fl_thermal") / "data.xlsx"
-MACHINE_SOURCES = (HERE / "network.py", HERE / "work.py", HERE / "lumped.py", HERE / "lumped_machines.py")
+LUMPED_SOURCES = (HERE / "network.py", HERE / "work.py", HERE / "lumped.py", HERE / "lumped_machines.py")
 TWIN_SOURCES = (ROOT / "src" / "thetatwin", HERE / "twins.py")
-# What stands above the prepared states: a change there leaves them as they are.
-ABOVE = ("api.py", "analysis.py", "cli", "controllers", "fitting", "planning", "report", "sensors", "validation",
-         "verification", "folds.py", "outputs.py", "files.py", "table_file.py", "__main__.py")  # fmt: skip
+HALL_SOURCES = (HALL / "hall_chain.py", HALL / "simulated_hall.py", HERE / "hall.py")
+LUMPED_ROWS = {"lathe": (3, 6, 12, 22, 30), "borer": (2, 4, 6), "warm-ups": (2, 3, 5), "heated bed": (1, 2, 4)}
+TWIN_ROWS = (2, 3, 5, 9)
+# No row depends on these, and prepared states not on those that fit and judge either.
+ELSEWHERE = {"api.py", "analysis.py", "__main__.py", "cli", "controllers", "planning", "report", "verification"}
+ABOVE = ELSEWHERE | {"fitting", "sensors", "validation", "folds.py"}
 
 
 @dataclass(frozen=True)
 class BenchMachine:
     """A machine: `make` writes its folder, `sources` are the files that decide what it writes, `rows` the numbers of
-    campaigns to judge on (0: all)."""
+    campaigns to judge on (0: all). `apart` makes a row of every component: of a machine that is read at one place."""
 
     name: str
     make: Callable[[Path], None]
     sources: tuple[Path, ...]
     rows: tuple[int, ...]
+    apart: bool = False
 
 
 def machines(data: Path) -> list[BenchMachine]:
     """All machines; `data` is the folder of shared data. What is not there is left out."""
     out = [BenchMachine("TK6920", _copy(EXAMPLES / "tk6920"), (), (0,))]
     if (data / RECORDING).exists():
-        out.append(BenchMachine("spindle", _recording(data), (), (2, 3, 4, 6)))
-    counts = {"lathe": (3, 6, 12, 22, 36), "borer": (2, 4, 6), "warm-ups": (2, 3, 5), "heated bed": (1, 2, 4)}
+        out.append(BenchMachine("spindle", _recording(data), (), (2, 3, 4, 6), apart=True))
+    out.append(BenchMachine("hall", _hall(6), HALL_SOURCES, (2, 4, 6)))
     out += [
-        BenchMachine(f"lumped {name}", _lumped(name, max(rows)), MACHINE_SOURCES, rows) for name, rows in counts.items()
+        BenchMachine(f"lumped {name}", _lumped(name, max(rows)), LUMPED_SOURCES, rows, apart=name == "lathe")
+        for name, rows in LUMPED_ROWS.items()
     ]
-    return out + _twins()
-
-
-def _twins() -> list[BenchMachine]:
-    from carry.twins import TWINS
-
-    rows = (2, 3, 5, 9)
-    return [BenchMachine(name, _twin(name, max(rows)), TWIN_SOURCES, rows) for name in TWINS]
+    return out + [BenchMachine(name, _twin(name, max(TWIN_ROWS)), TWIN_SOURCES, TWIN_ROWS) for name in TWINS]
 
 
 def _copy(source: Path) -> Callable[[Path], None]:
-    return lambda folder: shutil.copytree(source, folder, ignore=shutil.ignore_patterns("*.xlsx", "*.md", "*.py"))  # type: ignore[return-value]
+    def make(folder: Path) -> None:
+        shutil.copytree(source, folder, ignore=shutil.ignore_patterns("*.xlsx", "*.md"))
+
+    return make
 
 
 def _recording(data: Path) -> Callable[[Path], None]:
@@ -71,10 +75,14 @@ def _lumped(name: str, campaigns: int) -> Callable[[Path], None]:
 
 
 def _twin(name: str, campaigns: int) -> Callable[[Path], None]:
-    def make(folder: Path) -> None:
-        from carry.twins import TWINS, make_folder
+    return lambda folder: twins.make_folder(TWINS[name], folder, campaigns)
 
-        make_folder(TWINS[name], folder, campaigns)
+
+def _hall(campaigns: int) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        from carry.hall import make_folder  # needs the builders of the tests
+
+        make_folder(folder, campaigns)
 
     return make
 
@@ -96,7 +104,7 @@ def folder_of(machine: BenchMachine, cache: Path) -> Path:
 def prepared_of(machine: BenchMachine, campaigns: int, cache: Path) -> Prepared:
     """The first campaigns of a machine as the program under test prepares them, taken from the cache where it did."""
     folder = folder_of(machine, cache)
-    path = cache / "prepared" / f"{folder.name}-{campaigns}-{_below()}.npz"
+    path = cache / "prepared" / f"{folder.name}-{campaigns}-{store.digest(_program(ABOVE))}.npz"
     if path.exists():
         return store.load(path)  # type: ignore[no-any-return]
     read = read_folder(folder)
@@ -106,7 +114,12 @@ def prepared_of(machine: BenchMachine, campaigns: int, cache: Path) -> Prepared:
     return made
 
 
-def _below() -> str:
-    """Digest of everything that prepared states depend on."""
-    package = ROOT / "src" / "thetacomp"
-    return store.digest([path for path in sorted(package.iterdir()) if path.name not in ABOVE])
+def rows_path(machine: BenchMachine, campaigns: int, cache: Path, kind: str) -> Path:
+    """Where the cache keeps what this program and this ruler have measured."""
+    judged = store.digest([*_program(ELSEWHERE), HERE / "measure.py", HERE / "baselines.py"], kind)
+    return cache / "rows" / f"{folder_of(machine, cache).name}-{campaigns}-{judged}.npz"
+
+
+def _program(without: set[str]) -> list[Path]:
+    """Files and folders of the program under test."""
+    return [path for path in sorted(Path(thetacomp.__file__).parent.iterdir()) if path.name not in without]

@@ -30,8 +30,8 @@ HeldOut = tuple[Residuals, NDArray[np.str_]]
 class Figures:
     """Held-out errors of one model over all components of a row, µm; NaN where there is no such model.
 
-    `coverage_percent` and `half_width_um` (median) belong to the 95 % band. `cpu_s` is for choosing and fitting in
-    every fold.
+    `coverage_percent` (over all, and least of a component) and `half_width_um` (median) belong to the 95 % band.
+    `cpu_s` is for choosing and fitting on all campaigns and in every fold; rows of one machine share it.
     """
 
     rms_um: float
@@ -79,13 +79,15 @@ class Row:
         return worst, ratios[worst]
 
 
-def measure(name: str, prepared: Prepared, families: bool = False) -> Row:
-    """Fit and hold out everything on prepared measurements; fallbacks, report and pictures are left out."""
+def measure(name: str, prepared: Prepared, apart: bool = False, families: bool = False) -> tuple[Row, ...]:
+    """Fit and hold out everything on prepared measurements; fallbacks, report and pictures are left out.
+
+    One row over all components, or with `apart` one for each. A model that does not serve all of them is left out.
+    """
     begin = time.process_time()
     trained = train(prepared, lost=())
-    training_s = time.process_time() - begin
     residuals: dict[str, list[HeldOut]] = {}
-    seconds: dict[str, float] = {DEFAULT: training_s}
+    seconds: dict[str, float] = {DEFAULT: time.process_time() - begin}
     tasks = axis_tasks(prepared)
     for task in tasks:
         procedures = judged_procedures(prepared, trained, task.states)
@@ -93,9 +95,21 @@ def measure(name: str, prepared: Prepared, families: bool = False) -> Row:
         if families:
             procedures |= _families()
         _hold_out(prepared, task, procedures, residuals, seconds)
-    covered = {name: own for name, own in residuals.items() if len(own) == len(residuals[NOTHING])}
-    models = {name: _figures(own, seconds.get(name, 0.0)) for name, own in covered.items()}
-    return Row(name, len(prepared.train), tasks[0].split, models)
+    components = [item.component for item, _ in residuals[NOTHING]]
+    groups = {f"{name} {one}": (one,) for one in components} if apart else {name: tuple(components)}
+    return tuple(
+        Row(title, len(prepared.train), tasks[0].split, _models(residuals, seconds, members))
+        for title, members in groups.items()
+    )
+
+
+def _models(
+    residuals: Mapping[str, list[HeldOut]], seconds: Mapping[str, float], components: tuple[str, ...]
+) -> dict[str, Figures]:
+    own = {name: [one for one in items if one[0].component in components] for name, items in residuals.items()}
+    return {
+        name: _figures(items, seconds.get(name, 0.0)) for name, items in own.items() if len(items) == len(components)
+    }
 
 
 def _families() -> dict[str, AnyProcedure]:

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-ROOMS = ("thetacomp.",)  # only classes of the program are made when a file is read
+ROOMS = ("thetacomp.", "carry.")  # only classes of the program and of the ruler are made when a file is read
 
 
 def digest(paths: Iterable[Path], *words: str) -> str:
-    """Short digest of the text of Python files (of all below a folder) and of some words."""
+    """Short digest of the text of files (of all modules below a folder) and of some words."""
     out = hashlib.blake2b(" ".join(words).encode(), digest_size=8)
     for path in paths:
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            out.update(file.read_bytes())
+            out.update(file.name.encode() + file.read_bytes())
     return out.hexdigest()
 
 
@@ -44,8 +44,7 @@ def load(path: Path) -> Any:
 
 def _packed(value: Any, arrays: dict[str, Any]) -> Any:
     if isinstance(value, np.ndarray):
-        arrays[f"a{len(arrays)}"] = value
-        return {"array": f"a{len(arrays) - 1}"}
+        return {"array": _kept(value, arrays)}
     if isinstance(value, BaseModel):
         return {"model": _name(value), "of": value.model_dump(mode="json")}
     if is_dataclass(value):
@@ -57,6 +56,15 @@ def _packed(value: Any, arrays: dict[str, Any]) -> Any:
     if isinstance(value, datetime):
         return {"moment": value.isoformat()}
     return value.item() if isinstance(value, np.generic) else value
+
+
+def _kept(value: Any, arrays: dict[str, Any]) -> str:
+    """The name of an array in the file; equal ones, of which states have many, are written once."""
+    content = np.ascontiguousarray(value)
+    own = hashlib.blake2b(f"{value.dtype.str}{value.shape}".encode(), digest_size=16)
+    own.update(content.view(np.uint8) if content.size else b"")
+    arrays.setdefault(own.hexdigest(), value)
+    return own.hexdigest()
 
 
 def _unpacked(tree: Any, file: Mapping[str, Any]) -> Any:
