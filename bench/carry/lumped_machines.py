@@ -7,15 +7,13 @@ from carry.network import network
 from carry.work import Air
 
 # A production lathe: many short campaigns on a machine that was at work before, air conditioning at different levels,
-# coolant, 24 sensors. The spindle's bearings push harder the warmer they are: a kelvin counts by the level
-# it starts at.
+# coolant, 24 sensors. The bearings push harder the warmer they are: a kelvin counts by the level it starts at.
 LATHE = LumpedMachine(
     name="lumped lathe",
     network=network(
         nodes={
-            "
-            ront bearing": 9.0, "rear bearing": 6.0, "shaft": 25.0, "headstock": 120.0, "headstock foot": 90.0, "motor": 45.0,
-             "chuck": 30.0, "bed left": 260.0, "bed right": 260.0, "cross slide": 70.0, "turret": 45.0,
+            "front bearing": 9.0, "rear bearing": 6.0, "shaft": 25.0, "headstock": 120.0, "headstock foot": 90.0,
+            "motor": 45.0, "chuck": 30.0, "bed left": 260.0, "bed right": 260.0, "cross slide": 70.0, "turret": 45.0,
             "X nut": 3.0, "X screw": 12.0, "X motor": 9.0, "Z nut": 5.0, "Z screw": 28.0, "Z motor": 12.0,
             "tank": 160.0, "hydraulics": 40.0,
         },
