@@ -34,6 +34,7 @@ class Figures:
     `cpu_s` is for choosing and fitting on all campaigns and in every fold; rows of one machine share it.
     """
 
+    points: int
     rms_um: float
     p95_um: float
     worst_campaign_um: float
@@ -64,6 +65,11 @@ class Row:
         if model not in self.models:
             return float("nan")
         return self.models[model].rms_um / self.models[self.best_simple].rms_um
+
+    @property
+    def unserved_share(self) -> float:
+        """Share of the measured points that the default does not predict: a reading is missing there."""
+        return 1.0 - self.models[DEFAULT].points / self.models[NOTHING].points
 
     @property
     def worst_component(self) -> tuple[str, float]:
@@ -145,6 +151,7 @@ def _figures(held_out: list[HeldOut], cpu_s: float) -> Figures:
     half_um = np.concatenate([item.half_width_um for item in items])
     campaign = np.concatenate([names for _, names in held_out])
     return Figures(
+        points=len(after_um),
         rms_um=_rms(after_um),
         p95_um=float(np.quantile(np.abs(after_um), 0.95)),
         worst_campaign_um=max(_rms(after_um[campaign == name]) for name in np.unique(campaign)),

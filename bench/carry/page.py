@@ -81,6 +81,9 @@ def summary(rows: Sequence[Row]) -> str:
         if chosen.any():
             low, middle, high = np.quantile(ratio[chosen], (0.0, 0.5, 1.0))
             lines.append(f"Ratio on {label} campaigns: median {middle:.2f}, {low:.2f} to {high:.2f}.")
+    poor = [f"{row.name} on {row.campaigns} ({row.unserved_share:.0%})" for row in served if row.unserved_share > 0.05]
+    if poor:
+        lines.append("More than 5 % of the points are not predicted by the default: " + ", ".join(poor) + ".")
     banded = [row.models[DEFAULT] for row in served if row.campaigns >= COVERED_FROM]
     if banded:
         low, high = COVERED_PERCENT
