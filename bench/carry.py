@@ -21,7 +21,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from carry import store
-from carry.machines import machines, prepared_of, rows_path
+from carry.machines import RECORDING, BenchMachine, machines, prepared_of, rows_path
 from carry.measure import Row, measure
 from carry.page import families_table, put_into, summary, tables
 
@@ -34,10 +34,10 @@ CACHE = Path(tempfile.gettempdir()) / f"thetacomp-carry-{getpass.getuser()}"
 
 @dataclass(frozen=True)
 class Job:
-    """One machine on some of its campaigns."""
+    """One machine, on its first campaigns of each number: done by one process, which makes the machine once."""
 
     machine: str
-    campaigns: int
+    campaigns: tuple[int, ...]
     data: Path
     cache: Path
     families: bool
@@ -49,13 +49,17 @@ def main() -> int:
     asked = options.parse_args()
     if asked.page and (asked.only or asked.families):
         options.error("--page holds all machines without families: leave out --only and --families")
+    if not (asked.data / RECORDING).exists():
+        absent = f"no {RECORDING} in {asked.data}: name its folder with --data"
+        if asked.page:
+            options.error(absent)
+        print(f"The spindle is left out: {absent}", file=sys.stderr)
     asked.cache.mkdir(parents=True, exist_ok=True, mode=0o700)
-    jobs = [
-        Job(machine.name, count, asked.data, asked.cache, asked.families)
-        for machine in machines(asked.data)
-        for count in machine.rows
-        if asked.only in f"{machine.name} {count}"
-    ]
+    jobs = []
+    for machine in machines(asked.data):
+        chosen = tuple(count for count in machine.rows if asked.only in f"{machine.name} {count}")
+        if chosen:
+            jobs.append(Job(machine.name, chosen, asked.data, asked.cache, asked.families))
     if not jobs:
         options.error(f"no row holds {asked.only!r} in its name; rows are named such as 'lumped lathe 12'")
     rows, failures = _all_rows(jobs, asked.jobs)
@@ -85,27 +89,37 @@ def _all_rows(jobs: Sequence[Job], processes: int) -> tuple[list[Row], int]:
     failures = 0
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         for found in pool.map(_measured, jobs):
-            if isinstance(found, str):
-                failures += 1
-                print(found, file=sys.stderr, flush=True)
-                continue
-            for row in found:
-                print(f"{row.name}, {row.campaigns}: {row.ratio():.2f}", file=sys.stderr, flush=True)
-            rows += found
+            for one in found:
+                if isinstance(one, str):
+                    failures += 1
+                    print(one, file=sys.stderr, flush=True)
+                    continue
+                print(f"{one.name}, {one.campaigns}: {one.ratio():.2f}", file=sys.stderr, flush=True)
+                rows.append(one)
     return rows, failures
 
 
-def _measured(job: Job) -> tuple[Row, ...] | str:
-    """Rows of a job, or what stood in the way. What this very program has measured before is not measured again."""
+def _measured(job: Job) -> list[Row | str]:
+    """Rows of a job, or for each number of campaigns what stood in the way.
+
+    What this very program has measured before is not measured again.
+    """
     machine = next(one for one in machines(job.data) if one.name == job.machine)
-    path = rows_path(machine, job.campaigns, job.cache, "families" if job.families else "")
+    out: list[Row | str] = []
+    for campaigns in job.campaigns:
+        out += _rows_of(machine, campaigns, job)
+    return out
+
+
+def _rows_of(machine: BenchMachine, campaigns: int, job: Job) -> Sequence[Row | str]:
+    path = rows_path(machine, campaigns, job.cache, "families" if job.families else "")
     if path.exists():
         return store.load(path)  # type: ignore[no-any-return]
     try:
-        prepared = prepared_of(machine, job.campaigns, job.cache)
+        prepared = prepared_of(machine, campaigns, job.cache)
         rows = measure(machine.name, prepared, machine.apart, job.families)
     except AnalysisError as exc:
-        return f"{machine.name}, {job.campaigns} campaigns: {exc}"
+        return [f"{machine.name}, {campaigns} campaigns: {exc}"]
     store.save(path, rows)
     return rows
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -92,8 +93,7 @@ def folder_of(machine: BenchMachine, cache: Path) -> Path:
     name = f"{machine.name} {store.digest(machine.sources, *map(str, machine.rows))}".replace(" ", "-")
     folder = cache / "machines" / name
     if not folder.exists():
-        part = cache / "part" / name
-        shutil.rmtree(part, ignore_errors=True)
+        part = cache / "part" / f"{name}-{os.getpid()}"
         part.parent.mkdir(parents=True, exist_ok=True)
         machine.make(part)
         folder.parent.mkdir(parents=True, exist_ok=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from datetime import datetime
@@ -31,7 +32,7 @@ def save(path: Path, value: object) -> None:
     arrays: dict[str, Any] = {}
     tree = json.dumps(_packed(value, arrays))
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part.npz")
+    part = path.with_suffix(f".{os.getpid()}.npz")
     np.savez(part, tree=np.array(tree), **arrays)
     part.rename(path)
 

@@ -61,7 +61,7 @@ def make_folder(plan: TwinPlan, folder: Path, campaigns: int) -> None:
     write_machine_folder(folder, twin, [run_campaign(twin, one) for one in plan_campaigns(twin, campaigns)])
 
 
-@lru_cache(maxsize=1)
+@lru_cache
 def _built(name: str, mounting: int) -> VirtualMachine:
     """A machine is built once for all plans that mount its sensors alike."""
     description = load_description(name)

@@ -163,6 +163,12 @@ def test_the_page_keeps_what_stands_around_its_table(tmp_path: Path) -> None:
     page.write_text(f"above\n{BEGIN}\nold\n{END}\nbelow\n", encoding="utf-8")
     put_into(page, "new")
     assert page.read_text(encoding="utf-8") == f"above\n{BEGIN}\n\nnew\n\n{END}\nbelow\n"
-    page.write_text(f"{END}\n{BEGIN}\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize("text", ["", f"{END}\n{BEGIN}\n", f"{BEGIN}\n{END}\n{BEGIN}\n{END}\n"])
+def test_a_page_without_its_two_marks_is_refused(text: str, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match="once each"):
         put_into(page, "new")
+    assert page.read_text(encoding="utf-8") == text
