@@ -3,6 +3,7 @@
     python bench/carry.py                          # all rows, default and baselines
     python bench/carry.py --only lathe --jobs 2    # the machines whose name holds a word
     python bench/carry.py --families               # other families too, which takes long
+    python bench/carry.py --draw 1                 # other machines of the same kinds, to judge what was developed here
 
 Made machines, prepared states and measured rows are kept in a folder outside the tree (--cache), so that a changed
 model is judged within minutes. The version under test is the one that `import thetacomp` finds: PYTHONPATH=TREE/src.
@@ -38,6 +39,7 @@ class Job:
 
     machine: str
     campaigns: tuple[int, ...]
+    draw: int
     data: Path
     cache: Path
     families: bool
@@ -47,8 +49,8 @@ def main() -> int:
     """Read the command line, measure the rows, print the tables and write the page."""
     options = _options()
     asked = options.parse_args()
-    if asked.page and (asked.only or asked.families):
-        options.error("--page holds all machines without families: leave out --only and --families")
+    if asked.page and (asked.only or asked.families or asked.draw):
+        options.error("--page holds the first draw of all machines: leave out --only, --families and --draw")
     if not (asked.data / RECORDING).exists():
         absent = f"no {RECORDING} in {asked.data}: name its folder with --data"
         if asked.page:
@@ -56,10 +58,10 @@ def main() -> int:
         print(f"The spindle is left out: {absent}", file=sys.stderr)
     asked.cache.mkdir(parents=True, exist_ok=True, mode=0o700)
     jobs = []
-    for machine in machines(asked.data):
+    for machine in machines(asked.data, asked.draw):
         chosen = tuple(count for count in machine.rows if asked.only in f"{machine.name} {count}")
         if chosen:
-            jobs.append(Job(machine.name, chosen, asked.data, asked.cache, asked.families))
+            jobs.append(Job(machine.name, chosen, asked.draw, asked.data, asked.cache, asked.families))
     if not jobs:
         options.error(f"no row holds {asked.only!r} in its name; rows are named such as 'lumped lathe 12'")
     rows, failures = _all_rows(jobs, asked.jobs)
@@ -75,6 +77,7 @@ def _options() -> argparse.ArgumentParser:
     options.add_argument("--only", default="", help="rows whose name holds this text, such as lathe or 'twin 1 9'")
     options.add_argument("--jobs", type=int, default=1, help="processes side by side")
     options.add_argument("--families", action="store_true", help="the families of `analyze --compare` as well")
+    options.add_argument("--draw", type=int, default=0, help="1, 2, …: other machines of the same kinds")
     options.add_argument("--page", type=Path, help="document whose table is written anew between its two marks")
     options.add_argument(
         "--cache", type=Path, default=CACHE, help="what is made once is kept there (default %(default)s)"
@@ -104,7 +107,7 @@ def _measured(job: Job) -> list[Row | str]:
 
     What this very program has measured before is not measured again.
     """
-    machine = next(one for one in machines(job.data) if one.name == job.machine)
+    machine = next(one for one in machines(job.data, job.draw) if one.name == job.machine)
     out: list[Row | str] = []
     for campaigns in job.campaigns:
         out += _rows_of(machine, campaigns, job)

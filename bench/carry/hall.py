@@ -16,11 +16,11 @@ from hall_chain import PLAN_ARGUMENTS, draw_machine, draw_share, machine_toml, m
 SEED = 4505
 
 
-def make_folder(folder: Path, campaigns: int) -> None:
+def make_folder(folder: Path, campaigns: int, draw: int = 0) -> None:
     """One plan, and some days of different duty on one machine."""
     folder.mkdir(parents=True)
     (folder / "machine.toml").write_text(machine_toml(), encoding="utf-8")
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng([SEED, draw])
     machine = draw_machine(rng)
     with tempfile.TemporaryDirectory() as name:
         plan = Path(name) / "plan"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import thetacomp
 from carry import lumped, store, twins
+from carry.draws import drawn_lumped, drawn_twin
 from carry.lumped_machines import LUMPED
 from carry.twins import TWINS
 from thetacomp.preparation import Prepared, prepare
@@ -25,6 +26,7 @@ LUMPED_SOURCES = (HERE / "network.py", HERE / "work.py", HERE / "lumped.py", HER
 TWIN_SOURCES = (ROOT / "src" / "thetatwin", HERE / "twins.py")
 HALL_SOURCES = (HALL / "hall_chain.py", HALL / "simulated_hall.py", HERE / "hall.py")
 LUMPED_ROWS = {"lathe": (3, 6, 12, 22, 30), "borer": (2, 4, 6), "warm-ups": (2, 3, 5), "heated bed": (1, 2, 4)}
+HALL_ROWS = (2, 4, 6)
 TWIN_ROWS = (2, 3, 5, 9)
 # No row depends on these, and prepared states not on those that fit and judge either.
 ELSEWHERE = {"api.py", "analysis.py", "__main__.py", "cli", "controllers", "planning", "report", "verification"}
@@ -41,19 +43,28 @@ class BenchMachine:
     sources: tuple[Path, ...]
     rows: tuple[int, ...]
     apart: bool = False
+    draw: int = 0
 
 
-def machines(data: Path) -> list[BenchMachine]:
-    """All machines; `data` is the folder of shared data. What is not there is left out."""
+def machines(data: Path, draw: int = 0) -> list[BenchMachine]:
+    """All machines; `data` is the folder of shared data. A recording that is not there is left out.
+
+    With `draw` others of the same kinds, and without the measured ones, of which there are no others.
+    """
+    out = [] if draw else _measured(data)
+    out.append(BenchMachine("hall", _hall(max(HALL_ROWS), draw), HALL_SOURCES, HALL_ROWS))
+    for name, rows in LUMPED_ROWS.items():
+        make = _lumped(name, max(rows), draw)
+        out.append(BenchMachine(f"lumped {name}", make, LUMPED_SOURCES, rows, apart=name == "lathe"))
+    out += [BenchMachine(name, _twin(name, max(TWIN_ROWS), draw), TWIN_SOURCES, TWIN_ROWS) for name in TWINS]
+    return [replace(one, draw=draw) for one in out]
+
+
+def _measured(data: Path) -> list[BenchMachine]:
     out = [BenchMachine("TK6920", _copy(EXAMPLES / "tk6920"), (), (0,))]
     if (data / RECORDING).exists():
         out.append(BenchMachine("spindle", _recording(data), (), (2, 3, 4, 6), apart=True))
-    out.append(BenchMachine("hall", _hall(6), HALL_SOURCES, (2, 4, 6)))
-    out += [
-        BenchMachine(f"lumped {name}", _lumped(name, max(rows)), LUMPED_SOURCES, rows, apart=name == "lathe")
-        for name, rows in LUMPED_ROWS.items()
-    ]
-    return out + [BenchMachine(name, _twin(name, max(TWIN_ROWS)), TWIN_SOURCES, TWIN_ROWS) for name in TWINS]
+    return out
 
 
 def _copy(source: Path) -> Callable[[Path], None]:
@@ -71,26 +82,28 @@ def _recording(data: Path) -> Callable[[Path], None]:
     return make
 
 
-def _lumped(name: str, campaigns: int) -> Callable[[Path], None]:
-    return lambda folder: lumped.make_folder(LUMPED[name], folder, campaigns)
+def _lumped(name: str, campaigns: int, draw: int) -> Callable[[Path], None]:
+    machine = drawn_lumped(LUMPED[name], draw) if draw else LUMPED[name]
+    return lambda folder: lumped.make_folder(machine, folder, campaigns)
 
 
-def _twin(name: str, campaigns: int) -> Callable[[Path], None]:
-    return lambda folder: twins.make_folder(TWINS[name], folder, campaigns)
+def _twin(name: str, campaigns: int, draw: int) -> Callable[[Path], None]:
+    return lambda folder: twins.make_folder(drawn_twin(TWINS[name], draw), folder, campaigns)
 
 
-def _hall(campaigns: int) -> Callable[[Path], None]:
+def _hall(campaigns: int, draw: int) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
         from carry.hall import make_folder  # needs the builders of the tests
 
-        make_folder(folder, campaigns)
+        make_folder(folder, campaigns, draw)
 
     return make
 
 
 def folder_of(machine: BenchMachine, cache: Path) -> Path:
     """The machine's folder, made where the cache does not hold it."""
-    name = f"{machine.name} {store.digest(machine.sources, *map(str, machine.rows))}".replace(" ", "-")
+    words = [str(count) for count in machine.rows] + ([f"draw {machine.draw}"] if machine.draw else [])
+    name = f"{machine.name} {store.digest(machine.sources, *words)}".replace(" ", "-")
     folder = cache / "machines" / name
     if not folder.exists():
         part = cache / "part" / f"{name}-{os.getpid()}"

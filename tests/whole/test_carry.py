@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "bench"))
 
 from carry import lumped, store
 from carry.baselines import best_three, mean_curve
+from carry.draws import drawn_lumped
 from carry.lumped_machines import BED, LUMPED
 from carry.measure import Figures, Row, measure
 from carry.network import Drive, Network, network, simulate
@@ -73,6 +74,16 @@ def test_campaigns_start_at_levels_of_their_own(tmp_path: Path) -> None:
     lumped.make_folder(LUMPED["lathe"], tmp_path / "machine", 5)
     starts = [c.temperatures.value_degC[0].mean() for c in read_folder(tmp_path / "machine").campaigns]
     assert np.ptp(starts) > 3.0
+
+
+def test_another_draw_is_another_machine_of_the_same_build() -> None:
+    one, again, other = (drawn_lumped(BED, draw) for draw in (1, 1, 2))
+    assert np.array_equal(one.network.link_W_K, again.network.link_W_K)
+    assert np.array_equal(one.network.link_W_K, one.network.link_W_K.T)
+    assert np.array_equal(one.network.link_W_K > 0, BED.network.link_W_K > 0)
+    assert not np.allclose(one.network.capacity_J_K, other.network.capacity_J_K, rtol=0.02)
+    assert not np.allclose(one.network.capacity_J_K, BED.network.capacity_J_K, rtol=0.02)
+    assert len({BED.seed, one.seed, other.seed}) == 3
 
 
 @pytest.fixture(scope="module")
