@@ -146,7 +146,7 @@ def _drive(machine: LumpedMachine, done: Work, air: Floats) -> Drive:
 
 
 def _fluid(machine: LumpedMachine, name: str, air: Floats) -> Floats:
-    """A coolant is held near its own level; a floor follows the mean of the air."""
+    """A coolant is held near its own level; floor and cooling water follow the mean of the air by half."""
     if name == "coolant":
         return np.asarray(machine.coolant_degC + 0.15 * (air - air.mean()))
     return np.full(len(air), 0.5 * (air.mean() + REFERENCE_degC))

@@ -41,16 +41,16 @@ class TwinPlan:
         return base.model_copy(update=changed)
 
 
-TWINS = {
+TWINS = {  # in the order of their mountings
     "twin 1": TwinPlan("standard", 311),
     "twin 2": TwinPlan("standard", 312, work={"rpm_max": 1800.0, "warm_h": 5.0, "cool_h": 2.0}),
     "twin 3": TwinPlan("standard", 313, work={"chiller": 0.5, "spacing_days": 28.0}),
-    "twin 4": TwinPlan("standard", 314, mounting=1, work={"spacing_days": 30.0, "between_sweeps_min": 45.0}),
-    "twin 5": TwinPlan("standard", 315, mounting=2, pt100={"noise_K": 0.1, "lag_s": (60.0, 300.0)}),
     "hard twin 1": TwinPlan("hard", 321),
     "hard twin 2": TwinPlan("hard", 322, work={"rpm_max": 1800.0, "warm_h": 5.0, "cool_h": 2.0}),
     "hard twin 3": TwinPlan("hard", 323, work={"feed_m_min_max": 6.0, "lead_h": 12.0}),
+    "twin 4": TwinPlan("standard", 314, mounting=1, work={"spacing_days": 30.0, "between_sweeps_min": 45.0}),
     "hard twin 4": TwinPlan("hard", 324, mounting=1),
+    "twin 5": TwinPlan("standard", 315, mounting=2, pt100={"noise_K": 0.1, "lag_s": (60.0, 300.0)}),
     "hard twin 5": TwinPlan("hard", 325, mounting=2, work={"chiller_change": False}),
 }
 
@@ -61,9 +61,9 @@ def make_folder(plan: TwinPlan, folder: Path, campaigns: int) -> None:
     write_machine_folder(folder, twin, [run_campaign(twin, one) for one in plan_campaigns(twin, campaigns)])
 
 
-@lru_cache
+@lru_cache(maxsize=1)
 def _built(name: str, mounting: int) -> VirtualMachine:
-    """A machine is built once for all plans that mount its sensors alike."""
+    """A machine is built once for plans in a row that mount their sensors alike; one takes more than a GB."""
     description = load_description(name)
     return build(description if mounting == OWN else with_sensors(description, _drawn(description, mounting)))
 
