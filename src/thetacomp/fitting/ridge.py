@@ -66,17 +66,18 @@ def history_candidates(layout: InputLayout, campaigns: int) -> tuple[Candidate, 
 
     Every candidate has the temperatures. It may have their differences to lags, speed lags (none, one power or all,
     narrow or wide), products of the lagged highest power with the mean rise, and products of the rises with the median
-    rise and, from LEVEL_CAMPAIGNS on, with the level at the start.
+    rise. From LEVEL_CAMPAIGNS on what is still open is the level at the start: candidates have products with it or not,
+    all have those with the median rise, and speeds come with all their powers.
     """
-    taus_s = layout.time_constants_s
-    powers = dict.fromkeys([*((power,) for power in layout.speed_powers), layout.speed_powers])
+    taus_s, many = layout.time_constants_s, campaigns >= LEVEL_CAMPAIGNS
+    powers = dict.fromkeys([*((power,) for power in layout.speed_powers if not many), layout.speed_powers])
     speeds = [((), 0.0, 0.0), *product([p for p in powers if p], (0.3, 1.0), (0.0, 0.3))]
-    offered = [factor for factor in layout.products if factor != "level" or campaigns >= LEVEL_CAMPAIGNS]
+    most = tuple(factor for factor in layout.products if many or factor != "level")
     scales: tuple[Literal["each", "common"], ...] = ("common", "each")
-    widths = product(*([0.0, 0.2] for _ in offered))
     return tuple(
-        _candidate(taus_s, scale, lag_width, *speed, dict(zip(offered, factors, strict=True)))
-        for factors, scale, lag_width, speed in product(widths, scales, (0.0, 0.3) if taus_s else (0.0,), speeds)
+        _candidate(taus_s, scale, lag_width, *speed, factors)
+        for factors in dict.fromkeys([most[:-1], most])
+        for scale, lag_width, speed in product(scales, (0.0, 0.3) if taus_s else (0.0,), speeds)
     )
 
 
@@ -87,7 +88,7 @@ def _candidate(
     powers: tuple[int, ...],
     speed_width: float,
     product_width: float,
-    factor_widths: Mapping[str, float],
+    factors: tuple[str, ...],
 ) -> Candidate:
     """One block model; `product_width` counts against `speed_width`, a width of 0 leaves the block out."""
     uses = [BlockUse("temperature", 1.0, scale)]
@@ -97,7 +98,7 @@ def _candidate(
     if product_width:
         width = product_width * speed_width
         uses += [BlockUse(f"speed^{powers[-1]} x rise {tau_s:g} s", width, scale) for tau_s in taus_s]
-    uses += [BlockUse(f"rise x {factor}", width, scale) for factor, width in factor_widths.items() if width]
+    uses += [BlockUse(f"rise x {factor}", 0.2, scale) for factor in factors]
     return tuple(uses)
 
 
@@ -154,24 +155,25 @@ class _Decomposition:
         self.v: Floats = z.T @ vectors / self.s if wide else vectors
         self.y, self.uy, self.n = y, self.u.T @ y, len(z)
 
+    def left_out(self, strengths: Sequence[float], together: Ints) -> Floats:
+        """Errors (strengths, n, m) of rows by fits without those left `together`, numbered 0, 1 … in their order."""
+        counts = np.bincount(together)
+        at = together, np.arange(self.n) - np.searchsorted(together, together)
+        u, rest = (np.zeros((len(counts), counts.max(), a.shape[1])) for a in (self.u, self.y))
+        u[at], one, out = self.u, np.eye(counts.max()) * (1.0 + 1e-9), []
+        for strength in strengths:
+            share = self.square / (self.square + self.n * strength)
+            rest[at] = self.y - self.u @ (share[:, None] * self.uy)
+            out.append(np.linalg.solve(one - (u * share) @ u.transpose(0, 2, 1), rest)[at])
+        return np.array(out)
+
     def coefficients(self, strength: float, campaign: Ints) -> tuple[Floats, Floats]:
         """Coefficients (k, m) of the scaled inputs, and without each campaign of rows (n,), (campaigns, k, m)."""
         gain = (self.s / (self.square + self.n * strength))[:, None]
-        left_um = self.left_out(strength, campaign)
+        (left_um,) = self.left_out((strength,), campaign)
         shift = np.array([self.u[campaign == c].T @ left_um[campaign == c] for c in range(campaign[-1] + 1)])
         whole = self.v @ (gain * self.uy)
         return whole, whole - self.v @ (gain * shift)
-
-    def left_out(self, strength: float, together: Ints) -> Floats:
-        """Errors (n, m) of rows by fits without those that are left `together` with them, numbered from 0 in order."""
-        shrunk = self.u * (self.square / (self.square + self.n * strength))
-        rest = self.y - shrunk @ self.uy
-        counts = np.bincount(together)
-        place = np.arange(self.n) - np.searchsorted(together, together)
-        u, hat_u, r = (np.zeros((len(counts), counts.max(), a.shape[1])) for a in (self.u, shrunk, rest))
-        u[together, place], hat_u[together, place], r[together, place] = self.u, shrunk, rest
-        kept = np.eye(counts.max()) * (1.0 + 1e-9) - hat_u @ u.transpose(0, 2, 1)
-        return np.asarray(np.linalg.solve(kept, r)[together, place])
 
 
 class HistoryRidge(Regressor):
@@ -253,7 +255,7 @@ class HistoryRidge(Regressor):
 
     def _best(self, fitted: _Decomposition, together: Ints) -> tuple[Floats, Floats]:
         """Least mean square error (m,) on left-out rows, and the strength (m,) that gives it."""
-        errors = np.array([np.mean(fitted.left_out(s, together) ** 2, axis=0) for s in self.strengths])
+        errors = np.mean(fitted.left_out(self.strengths, together) ** 2, axis=1)
         return errors.min(axis=0), np.asarray(self.strengths)[errors.argmin(axis=0)]
 
     def predict(self, X: ArrayLike) -> Floats:
