@@ -29,7 +29,7 @@ def row(
 
 
 def share(component: str, value: float = 1.0, kind: ShareKind = "applied", **changes: object) -> Share:
-    made = Share(component, "all", value, value - 0.05, value + 0.05, 50.0, 40.0, 1.0, 1.0, True, kind)
+    made = Share(component, "all", value, value - 0.05, value + 0.05, 50.0, 40.0, 1.0, 1.0, True, kind, 0.025, 8.0)
     return replace(made, **changes)  # type: ignore[arg-type]
 
 

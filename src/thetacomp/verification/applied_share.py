@@ -27,6 +27,7 @@ MIN_STATES = 4  # with fewer sweeps the rest of a line fit is next to nothing, a
 MOST_DRAWN_VALUES = 4_000_000  # a long drift record gets fewer draws, not more memory
 MAX_CORRELATION = 0.9
 LIMITS_PERCENT = (2.5, 97.5)
+WITHIN_ONE_SD_PERCENT = (15.87, 84.13)
 ALL, INTERCEPT, SLOPE = "all", "intercept", "slope"
 SPECIAL: tuple[tuple[float, ShareKind], ...] = (
     (-1.0, "reversed"),
@@ -130,13 +131,14 @@ def shares(
     for separate_parts in (False, True) if both else (False,):
         fits = split if separate_parts and split else (fit_run(off, False), fit_run(on, False))
         drawn = [_gains(fit, repeated_runs(fit, rng, draws)) - fit.gains for fit in fits]
-        transfer = _transfer(fits[0], fits[1])[:, None] * rng.standard_t(_freedom(*fits), draws)
+        transfer_sd, freedom = _transfer(fits[0], fits[1]), _freedom(*fits)
+        transfer = transfer_sd[:, None] * rng.standard_t(freedom, draws)
         # What no share explains is judged with intercept and slope free, so that one reversed register is no riddle.
         rests = split or fits
         for k, part in enumerate(fits[0].parts):
             value = float(fits[0].gains[k] - fits[1].gains[k])
-            deviation = drawn[0][:, k] - drawn[1][:, k] + transfer[k]
-            low, high = (value - float(np.percentile(deviation, q)) for q in reversed(LIMITS_PERCENT))
+            repeated = drawn[0][:, k] - drawn[1][:, k]
+            low, high = (value - float(np.percentile(repeated + transfer[k], q)) for q in reversed(LIMITS_PERCENT))
             if not enough_states(off, on):
                 low, high = -np.inf, np.inf
             material = sizes[part] >= least_um
@@ -150,9 +152,11 @@ def shares(
                     size_um=sizes[part],
                     expected_rms_um=float(np.sqrt(np.mean(on.expected_um**2))),
                     unexplained_um=rests[1].rest_um,
-                    usual_um=rests[0].rest_um * _unflattered(rests[0]),
+                    usual_um=max(rests[0].rest_um * _unflattered(rests[0]), off.left_um),
                     material=material,
                     kind=classify(value, low, high),
+                    sd=float(np.hypot(transfer_sd[k], np.diff(np.percentile(repeated, WITHIN_ONE_SD_PERCENT))[0] / 2)),
+                    freedom=freedom,
                 )
             )
     return tuple(out)
@@ -160,8 +164,13 @@ def shares(
 
 def classify(value: float, low: float, high: float) -> ShareKind:
     """Name a share by its interval; "unclear" where the interval is too wide to decide between cases."""
-    possible = [(centre, kind) for centre, kind in SPECIAL if low - MARGIN <= centre <= high + MARGIN]
-    if high - low > WIDEST or len(possible) > 1:
+    return "unclear" if high - low > WIDEST else named_share(value, low - MARGIN, high + MARGIN)
+
+
+def named_share(value: float, low: float, high: float) -> ShareKind:
+    """The only case that an interval holds, or what lies between the cases; "unclear" where it holds several."""
+    possible = [(centre, kind) for centre, kind in SPECIAL if low <= centre <= high]
+    if len(possible) > 1:
         return "unclear"
     if possible:
         centre, kind = possible[0]
