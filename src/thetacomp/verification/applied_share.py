@@ -22,6 +22,7 @@ from thetacomp.arrays import Floats
 from thetacomp.verification.outcome import Share, ShareKind
 from thetacomp.verification.runs import RunPoints
 
+NAN = float("nan")
 DRAWS = 1000
 MIN_STATES = 4  # with fewer sweeps the rest of a line fit is next to nothing, and so would be the interval
 MOST_DRAWN_VALUES = 4_000_000  # a long drift record gets fewer draws, not more memory
@@ -127,6 +128,8 @@ def shares(
     both = min(sizes[INTERCEPT], sizes[SLOPE]) >= least_um
     out = []
     draws = draws_for(off, on)
+    # One campaign cannot tell heat from time: of another course of heat its law proves nothing.
+    foreign = off.law_campaigns == 1 and not _same_heat(off, on)
     split = (fit_run(off, separate_parts=True), fit_run(on, separate_parts=True)) if both else None
     for separate_parts in (False, True) if both else (False,):
         fits = split if separate_parts and split else (fit_run(off, False), fit_run(on, False))
@@ -152,10 +155,10 @@ def shares(
                     size_um=sizes[part],
                     expected_rms_um=float(np.sqrt(np.mean(on.expected_um**2))),
                     unexplained_um=rests[1].rest_um,
-                    usual_um=max(rests[0].rest_um * _unflattered(rests[0]), off.left_um),
+                    usual_um=NAN if foreign else max(rests[0].rest_um * _unflattered(rests[0]), off.left_um),
                     material=material,
                     kind=classify(value, low, high),
-                    sd=float(np.hypot(transfer_sd[k], np.diff(np.percentile(repeated, WITHIN_ONE_SD_PERCENT))[0] / 2)),
+                    sd=NAN if foreign else float(np.hypot(transfer_sd[k], _sd(repeated))),
                     freedom=freedom,
                 )
             )
@@ -178,6 +181,12 @@ def named_share(value: float, low: float, high: float) -> ShareKind:
     if value < 0.0:
         return "reversed"
     return "partly" if value < 1.0 else "too strong"
+
+
+def _sd(drawn: Floats) -> float:
+    """Standard deviation of drawn values (n,), from their percentiles: Student's t has far tails."""
+    low, high = np.percentile(drawn, WITHIN_ONE_SD_PERCENT)
+    return float(high - low) / 2.0
 
 
 def _gains(fit: Fit, values: Floats) -> Floats:

@@ -332,8 +332,16 @@ def _label(share: Share) -> str:
 
 
 def _together(group: PooledShare) -> str:
-    names = "all" if len({name[1] for name in group.components}) > 1 else f"those in {group.components[0][1]}"
-    return f"{names} together {_interval(group)}"
+    directions, axes = ({name[part] for name in group.components} for part in (slice(1, 2), slice(2, None)))
+    one = "those in " + directions.pop() if len(directions) == 1 else _group_of_axis(axes)
+    return f"{one} together {_interval(group)}"
+
+
+def _group_of_axis(axes: set[str]) -> str:
+    if len(axes) > 1:
+        return "all"
+    axis = axes.pop()
+    return f"those of axis {axis}" if axis else "those of the drift"
 
 
 def _interval(share: Share | PooledShare) -> str:

@@ -27,12 +27,14 @@ from thetacomp.separation import ComponentSeparation
 class Expected:
     """Uncompensated error expected at n samples of a component: intercept in µm, slope in µm/m, both (n,).
 
-    NaN where none is known. `left_um` is the RMS that the law leaves of data it has not seen; 0 where nobody knows.
+    NaN where none is known. `left_um` is the RMS that the law leaves of data it has not seen, 0 where nobody knows;
+    `campaigns` counts those that the law was fitted to.
     """
 
     intercept_um: Floats
     slope_um_per_m: Floats
     left_um: float = 0.0
+    campaigns: int = 0
 
 
 def expected_from_fit(
@@ -60,14 +62,15 @@ def expected_from_fit(
         zeros = np.zeros(len(samples.value_um))
         at_p0, _ = model.predict(name, states, replace(samples, lever_m=zeros))
         at_1m, _ = model.predict(name, states, replace(samples, lever_m=zeros + 1.0))
-        out.append(Expected(at_p0, at_1m - at_p0, left_um))
+        out.append(Expected(at_p0, at_1m - at_p0, left_um, len(numbers)))
     return tuple(out), ()
 
 
 def _left_um(training: AxisStates, procedure: Procedure) -> list[float]:
-    """RMS of each component that fits leave of what they have not seen: a campaign, or a state of a single one."""
+    """RMS of each component that fits leave of a campaign that they have not seen; 0 where there is only one."""
     squares: list[list[Floats]] = [[] for _ in training.components]
-    for fold in hold_out(training)[1]:
+    split, folds = hold_out(training)
+    for fold in folds if split == "campaign" else ():
         try:
             model = procedure(training_states(training, fold))
         except AnalysisError:
@@ -103,7 +106,8 @@ def expected_from_model(
             line, slope[rows], bend = _along(model, campaign, own, t_s, states.p0_mm)
             # What bends counts with the intercept: a slope is what changes sign with the position.
             at_p0[rows] = line + bend * samples.lever_m[rows] ** 2
-        out.append(Expected(at_p0, slope, known.held_out_um[0] if known.held_out_um else 0.0))
+        left_um = known.held_out_um[0] if known.held_out_um else 0.0
+        out.append(Expected(at_p0, slope, left_um, len(model.training.campaigns)))
     return tuple(out), tuple(notes)
 
 

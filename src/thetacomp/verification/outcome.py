@@ -57,7 +57,8 @@ class Share:
     run with compensation on. `expected_rms_um` is the RMS of that error of the whole component, `unexplained_um` the
     RMS that no constant share explains, `usual_um` the same with compensation off, and at least what the law leaves of
     campaigns that it has not seen. `material` says that the part is large enough to judge. `sd` is the standard
-    deviation of the share, known with `freedom` degrees of freedom.
+    deviation of the share, known with `freedom` degrees of freedom. `usual_um` and `sd` are NaN where the law comes
+    from one campaign and the heat of the runs followed another course.
     """
 
     component: str

@@ -22,7 +22,7 @@ class RunPoints:
 
     `campaign` (K,) and `t_s` (K,) belong to the states. `intercept_um` and `slope_um_per_m`, each (n,), are the
     uncompensated error expected from the temperatures at each point, NaN where none is known; `left_um` is the RMS that
-    its law leaves of data it has not seen (0: not known). `zero_sd` is the standard deviation (µm, µm/m) of the cold
+    its law, fitted to `law_campaigns`, leaves of data it has not seen (0: not known). `zero_sd` is the standard deviation (µm, µm/m) of the cold
     line that all states of a campaign are counted from.
     """
 
@@ -36,6 +36,7 @@ class RunPoints:
     intercept_um: Floats
     slope_um_per_m: Floats
     left_um: float = 0.0
+    law_campaigns: int = 0
     zero_sd: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -117,6 +118,7 @@ def run_points(
         intercept_um=expected.intercept_um[rows],
         slope_um_per_m=expected.slope_um_per_m[rows],
         left_um=expected.left_um,
+        law_campaigns=expected.campaigns,
     )
 
 
