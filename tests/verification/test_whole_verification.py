@@ -289,7 +289,9 @@ def test_a_fit_to_the_run_off_does_not_look_at_the_run_on(folder: MachineFolder)
         heat = np.where(np.array(states.campaigns)[states.campaign[samples.state]] == "on", 0.8, 1.0)
         warm = rise > 2.0
         assert np.median(expected[k].intercept_um[warm] / (heat * rise)[warm]) == pytest.approx(LAW["EXY"][0], rel=0.12)
-        assert np.median(expected[k].slope_um_per_m[warm] / (heat * rise)[warm]) == pytest.approx(LAW["EXY"][1], rel=0.12)
+        assert np.median(expected[k].slope_um_per_m[warm] / (heat * rise)[warm]) == pytest.approx(
+            LAW["EXY"][1], rel=0.12
+        )
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one.intercept_um, other.intercept_um, atol=1e-9)
         np.testing.assert_allclose(one.slope_um_per_m, other.slope_um_per_m, atol=1e-9)

@@ -42,12 +42,13 @@ def verify(
             progress("drawing")
             files = verification_files(result)
             write_files(fresh, files)
-        return _summary(result, tuple(out / name for name in files))
+        return summary(result, tuple(out / name for name in files))
 
     run(work, as_json)
 
 
-def _summary(result: VerificationResult, paths: tuple[Path, ...]) -> Outcome:
+def summary(result: VerificationResult, paths: tuple[Path, ...]) -> Outcome:
+    """The verdict, causes, failed checks, figures and notes, and the same for scripts."""
     from thetacomp.report.tables import component_name, number
 
     lines = [

@@ -119,7 +119,9 @@ def _campaigns(label: str, own: Sequence[Residuals]) -> AcceptanceCheck:
     """Enough campaigns that the model had not seen: where they are named for the test, others trained it."""
     count = float(len({int(c) for r in own for c in r.campaign}))
     if any(r.split == NAMED_TEST for r in own):
-        return _at_least(f"{label}: campaigns for the test", count, 1.0, "at least one whole campaign was not trained on")
+        return _at_least(
+            f"{label}: campaigns for the test", count, 1.0, "at least one whole campaign was not trained on"
+        )
     meaning = "one campaign cannot separate heat from time: at least two, with different duty, each held out whole"
     return _at_least(f"{label}: campaigns", count, MIN_CAMPAIGNS, meaning)
 

@@ -30,7 +30,9 @@ def with_pooled(shares: Sequence[Share]) -> tuple[tuple[Share, ...], tuple[Poole
 
     Groups are all components, else those of one direction and those of one axis.
     """
-    judged = [share for share in shares if share.part == ALL and share.material and np.isfinite([share.low, share.sd]).all()]
+    judged = [
+        share for share in shares if share.part == ALL and share.material and np.isfinite([share.low, share.sd]).all()
+    ]
     whole = _pooled(judged)
     groups = [whole] if whole is not None else _parts(judged)
     named: dict[str, set[ShareKind]] = {}

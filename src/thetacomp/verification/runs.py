@@ -87,9 +87,7 @@ def chosen(folder: MachineFolder, off: Sequence[str], on: Sequence[str]) -> tupl
     return runs
 
 
-def run_points(
-    states: AxisStates, component: int, names: Sequence[str], expected: Expected
-) -> RunPoints | None:
+def run_points(states: AxisStates, component: int, names: Sequence[str], expected: Expected) -> RunPoints | None:
     """Points of one component in the heated states of the named campaigns; None where there are none.
 
     `expected` holds what is expected for every sample of the component.
