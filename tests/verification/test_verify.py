@@ -326,7 +326,7 @@ def test_a_go_counts_its_notes(verified: dict[str, VerificationResult]) -> None:
     good = verified["good"]
     for notes, verdict in (((), "GO"), (("a",), "GO WITH 1 NOTE"), (("a", "b"), "GO WITH 2 NOTES")):
         result = replace(good, notes=notes)
-        lines = summary(result, ()).text.splitlines()
+        lines = summary(result, (Path("verification.html"),)).text.splitlines()
         assert lines[0].startswith(f"{verdict}: known mill")
         assert sum(line.startswith("note: ") for line in lines) == len(notes)
         assert repr(Verification(result)).startswith(f"Verification of known mill: {verdict}, off off")

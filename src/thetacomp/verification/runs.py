@@ -21,9 +21,9 @@ class RunPoints:
     """Thermal error of one component in one run, n points in K heated states; states count from 0 in order of time.
 
     `campaign` (K,) and `t_s` (K,) belong to the states. `intercept_um` and `slope_um_per_m`, each (n,), are the
-    uncompensated error expected from the temperatures at each point, NaN where none is known; `left_um` is the RMS that
-    its law, fitted to `law_campaigns`, leaves of data it has not seen (0: not known). `zero_sd` is the standard deviation (µm, µm/m) of the cold
-    line that all states of a campaign are counted from.
+    uncompensated error expected from the temperatures at each point, NaN where none is known. Their law was fitted to
+    `law_campaigns` and leaves `left_um` (RMS) of data it has not seen (0: not known). `zero_sd` is the standard
+    deviation (µm, µm/m) of the cold line that all states of a campaign are counted from.
     """
 
     state: Ints
