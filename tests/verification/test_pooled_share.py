@@ -22,7 +22,7 @@ def share(component: str, value: float, sd: float = 0.3, freedom: float = 1.0, *
     """A share whose own interval, wide as Student's t of one degree of freedom is, holds every case."""
     half = float(stats.t.ppf(0.975, freedom)) * sd
     made = Share(
-        component, "all", value, value - half, value + half, 50.0, 40.0, 1.0, 1.0, True, "unclear", sd, freedom
+        component, "all", value, value - half, value + half, 50.0, 40.0, 1.0, 1.0, True, "unclear", sd, freedom, 1.0
     )
     return replace(made, **changes)  # type: ignore[arg-type]
 

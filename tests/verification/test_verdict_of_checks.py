@@ -38,7 +38,7 @@ def row(
 
 
 def share(component: str, value: float = 1.0, kind: ShareKind = "applied", **changes: object) -> Share:
-    made = Share(component, "all", value, value - 0.05, value + 0.05, 50.0, 40.0, 1.0, 1.0, True, kind, 0.025, 8.0)
+    made = Share(component, "all", value, value - 0.05, value + 0.05, 50.0, 40.0, 1.0, 1.0, True, kind, 0.025, 8.0, 1.0)
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
@@ -342,6 +342,12 @@ def test_an_open_share_of_a_go_is_a_note() -> None:
     (note,) = undecided(shares)
     assert note.startswith("EYX: the applied share stays open")
     assert undecided([share("EXX"), share("EYX", 0.5, "partly")]) == ()
+
+
+@pytest.mark.parametrize(("chance", "followed"), [(1.0, False), (4.0, False), (4.2, True)])
+def test_what_few_sweeps_make_by_chance_is_no_proof_of_another_relation(chance: float, followed: bool) -> None:
+    """41 µm are 4.1 times the usual 10."""
+    assert not_followed(share("EXX", unexplained_um=41.0, usual_um=10.0, chance=chance)) != followed
 
 
 def test_what_nobody_can_know_to_be_usual_is_no_proof_of_another_relation() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,6 +119,20 @@ def test_what_nobody_stated_is_said(folder: MachineFolder, result: VerificationR
     assert any(
         "no campaign states its operating mode" in n for n in verify_folder(silent, ["off"], ["on"], model).notes
     )
+
+
+def test_a_wrong_sign_that_no_component_shows_alone_is_named_from_all_of_them(tmp_path: Path) -> None:
+    """Four sweeps that scatter by a quarter of the error: the interval of most shares holds 0 as well as -1."""
+    runs = [Run("off", rounds=5, rest_um=20.0), Run("on", "on", 0.9, share=-1.0, rounds=5, rest_um=20.0)]
+    result = verify_folder(read_folder(write_folder(tmp_path / "m", runs)), ["off"], ["on"], true_model())
+    whole = [share for share in result.shares if share.part == "all"]
+    assert sum(share.high - share.low > 1.0 for share in whole) >= 6
+    (group,) = result.pooled
+    assert group.kind == "reversed"
+    assert group.low < -1.0 < group.high < -0.1
+    (cause,) = result.causes
+    assert (cause.kind, set(cause.components)) == ("reversed", set(LAW))
+    assert "all together -0." in cause.text
 
 
 def test_the_steps_are_told_as_they_begin(folder: MachineFolder) -> None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from thetacomp.arrays import Floats
 from thetacomp.verification.outcome import Share, ShareKind
@@ -27,6 +28,7 @@ DRAWS = 1000
 MIN_STATES = 4  # with fewer sweeps the rest of a line fit is next to nothing, and so would be the interval
 MOST_DRAWN_VALUES = 4_000_000  # a long drift record gets fewer draws, not more memory
 MAX_CORRELATION = 0.9
+SURE = 0.99
 LIMITS_PERCENT = (2.5, 97.5)
 WITHIN_ONE_SD_PERCENT = (15.87, 84.13)
 ALL, INTERCEPT, SLOPE = "all", "intercept", "slope"
@@ -160,6 +162,7 @@ def shares(
                     kind=classify(value, low, high),
                     sd=NAN if foreign else float(np.hypot(transfer_sd[k], _sd(repeated))),
                     freedom=freedom,
+                    chance=_chance(*rests),
                 )
             )
     return tuple(out)
@@ -187,6 +190,12 @@ def _sd(drawn: Floats) -> float:
     """Standard deviation of drawn values (n,), from their percentiles: Student's t has far tails."""
     low, high = np.percentile(drawn, WITHIN_ONE_SD_PERCENT)
     return float(high - low) / 2.0
+
+
+def _chance(off: Fit, on: Fit) -> float:
+    """Largest ratio of the rests of two runs, on to off, that chance makes (F distribution of their states)."""
+    own, other = (max(len(fit.rest) - len(fit.parts), 1) for fit in (on, off))
+    return float(np.sqrt(special.fdtri(own, other, SURE)))
 
 
 def _gains(fit: Fit, values: Floats) -> Floats:

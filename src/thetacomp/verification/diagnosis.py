@@ -157,7 +157,7 @@ def not_followed(share: Share) -> bool:
     """True where no constant share explains the residual of a component."""
     return (
         share.unexplained_um > RELATION_SHARE * share.expected_rms_um
-        and share.unexplained_um > RELATION_GROWTH * share.usual_um
+        and share.unexplained_um > max(RELATION_GROWTH, share.chance) * share.usual_um
     )
 
 

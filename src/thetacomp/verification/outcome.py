@@ -58,7 +58,8 @@ class Share:
     RMS that no constant share explains, `usual_um` the same with compensation off, and at least what the law leaves of
     campaigns that it has not seen. `material` says that the part is large enough to judge. `sd` is the standard
     deviation of the share, known with `freedom` degrees of freedom. `usual_um` and `sd` are NaN where the law comes
-    from one campaign and the heat of the runs followed another course.
+    from one campaign and the heat of the runs followed another course. `chance` is the largest ratio of
+    `unexplained_um` to `usual_um` that few sweeps make by chance.
     """
 
     component: str
@@ -74,6 +75,7 @@ class Share:
     kind: ShareKind
     sd: float
     freedom: float
+    chance: float
 
 
 @dataclass(frozen=True)
