@@ -68,6 +68,9 @@ def test_a_sure_sign_is_a_wrong_sign_and_a_part_is_never_named_together() -> Non
     for centre, kind in ((-1.6, "reversed"), (0.5, "unclear"), (1.5, "unclear")):
         found, _ = with_pooled([share(name, centre) for name in NINE])
         assert set(kinds(found).values()) == {kind}
+    found, (group,) = with_pooled([share(name, -1.4, 0.6) for name in NINE])
+    assert group.low < -1.0 < group.high < -0.5
+    assert set(kinds(found).values()) == {"reversed"}
 
 
 def test_one_direction_or_one_axis_is_told_where_not_all_agree() -> None:
@@ -85,6 +88,12 @@ def test_a_group_with_a_component_of_another_kind_or_far_away_decides_nothing() 
     for odd in (clear, share("EXX", -1.0, 0.2)):
         found, groups = with_pooled([odd, *good[1:]])
         assert not any("EXX" in group.components for group in groups)
+        assert kinds(found)["EXX"] == odd.kind
+    # Eight are right, one is reversed or clearly not active: no group of it decides.
+    for odd in (share("EXX", -1.0), share("EXX", 0.5, kind="not active")):
+        found, groups = with_pooled([odd, *(share(name, 1.0) for name in NINE[1:])])
+        assert not any("EXX" in group.components for group in groups)
+        assert kinds(found)["EYY"] == "applied"
         assert kinds(found)["EXX"] == odd.kind
     # A component that is clear by itself keeps its name; one that lies nearer to another case is not named.
     partly = share("EYX", 0.8, kind="partly")

@@ -35,13 +35,9 @@ def with_pooled(shares: Sequence[Share]) -> tuple[tuple[Share, ...], tuple[Poole
     ]
     whole = _pooled(judged)
     groups = [whole] if whole is not None else _parts(judged)
-    named: dict[str, set[ShareKind]] = {}
-    for group in groups:
-        for name in group.named:
-            named.setdefault(name, set()).add(group.kind)
-    # A component that two groups name differently stays unclear.
-    sure = {name: next(iter(kinds)) for name, kinds in named.items() if len(kinds) == 1}
-    told = tuple(replace(s, kind=sure.get(s.component, s.kind)) if s.part == ALL else s for s in shares)
+    # Two groups never name a component differently: it lies near one case only.
+    named = {name: group.kind for group in groups for name in group.named}
+    told = tuple(replace(s, kind=named.get(s.component, s.kind)) if s.part == ALL else s for s in shares)
     return told, tuple(groups)
 
 
