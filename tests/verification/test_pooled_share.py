@@ -103,13 +103,10 @@ def test_a_group_with_a_component_of_another_kind_or_far_away_decides_nothing() 
 
 
 def test_what_cannot_be_judged_takes_no_part() -> None:
-    small = share("EXX", -1.0, material=False)
-    few = share("EYX", -1.0, low=-np.inf, high=np.inf)
-    foreign = share("EZX", -1.0, sd=NAN)
-    part = share("EXY", -1.0, part="slope")
-    found, groups = with_pooled([small, few, foreign, part])
-    assert groups == ()
-    assert set(kinds(found).values()) == {"unclear"}
+    for lost in ({"material": False}, {"low": -np.inf, "high": np.inf}, {"sd": NAN}, {"part": "slope"}):
+        found, groups = with_pooled([share(name, -1.0, **lost) for name in NINE])  # type: ignore[arg-type]
+        assert groups == ()
+        assert set(kinds(found).values()) == {"unclear"}
     assert with_pooled([share("EXX", -1.0, 0.01)])[1] == ()
 
 

@@ -210,7 +210,7 @@ def table(exact_zero: bool = True) -> Any:
 
 
 def test_points_of_a_run_are_those_of_its_heated_states_in_order() -> None:
-    expected = Expected(np.arange(7.0), -np.arange(7.0), left_um=2.5)
+    expected = Expected(np.arange(7.0), -np.arange(7.0), left_um=2.5, campaigns=3)
     found = run_points(table(), 0, ["a", "b"], expected)
     assert found is not None
     assert found.value_um.tolist() == [20.0, 30.0, 50.0]
@@ -219,7 +219,7 @@ def test_points_of_a_run_are_those_of_its_heated_states_in_order() -> None:
     assert found.noise_sd_um == pytest.approx(np.sqrt((1.0 + 1.0 + 16.0) / 3.0))
     assert (found.intercept_um.tolist(), found.slope_um_per_m.tolist()) == ([2.0, 3.0, 5.0], [-2.0, -3.0, -5.0])
     np.testing.assert_allclose(found.expected_um, found.intercept_um + found.slope_um_per_m * found.lever_m)
-    assert found.left_um == 2.5
+    assert (found.left_um, found.law_campaigns) == (2.5, 3)
     # Where the zero is a measurement like any other, cold states are states.
     whole = run_points(table(exact_zero=False), 0, ["a", "b"], expected)
     assert whole is not None

@@ -271,6 +271,37 @@ def test_a_joint_model_expects_the_drift_and_the_tilt_of_the_other_axes_where_th
     np.testing.assert_allclose(expected[x].intercept_um, 0.0, atol=1e-9)
 
 
+def test_what_a_law_leaves_of_unseen_data_comes_with_what_it_expects(folder: MachineFolder) -> None:
+    """A model states it, and a fit to one campaign cannot know it."""
+    separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
+    states = axis_states(folder, separations, ["off", "on"])[0]
+    model = true_model()
+    law = model.control["X"]
+    stated = {"EXX": law.components["EXX"].model_copy(update={"held_out_um": (7.0, 8.0, 9.0)})}
+    law = law.model_copy(update={"components": law.components | stated})
+    expected, _ = expected_from_model(model.model_copy(update={"control": {"X": law}}), folder, states, separations)
+    assert [(one.left_um, one.campaigns) for one in expected] == [(7.0, 1), (0.0, 1), (0.0, 1)]
+    one, _ = expected_from_fit(folder, states, ["off"])
+    assert [(found.left_um, found.campaigns) for found in one] == [(0.0, 1)] * 3
+
+
+def test_two_campaigns_of_different_law_foretell_each_other_wrongly_by_the_difference(tmp_path: Path) -> None:
+    """The second gives 1.3 times the error of the first per kelvin: each misses 0.3 times the error of the first law."""
+    runs = [
+        Run("a", rest_um=0.5, rounds=ROUNDS),
+        Run("b", rest_um=0.5, rounds=ROUNDS, law=lambda _, t_h: 1.3 + 0.0 * t_h),
+    ]
+    folder = read_folder(write_folder(tmp_path / "m", runs))
+    separations = [s for c in folder.campaigns for s in separate_campaign(folder.machine, c)]
+    states = next(s for s in axis_states(folder, separations, ["a", "b"]) if s.axis == "Y")
+    expected, _ = expected_from_fit(folder, states, ["a", "b"])
+    for one, samples in zip(expected, states.samples, strict=True):
+        factor = np.where(states.campaign[samples.state] == 0, 1.0, 1.3)
+        missed_um = 0.3 * np.sqrt(np.mean((samples.value_um / factor) ** 2))
+        assert one.campaigns == 2
+        assert one.left_um == pytest.approx(missed_um, rel=0.25)
+
+
 def test_what_a_model_does_not_predict_has_no_pattern_and_is_named(folder: MachineFolder) -> None:
     """EYX has no inputs, EZX is unknown: both are NaN at every sample."""
     travel_mm = AXES["X"][1]

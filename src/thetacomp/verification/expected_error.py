@@ -67,7 +67,10 @@ def expected_from_fit(
 
 
 def _left_um(training: AxisStates, procedure: Procedure) -> list[float]:
-    """RMS of each component that fits leave of a campaign that they have not seen; 0 where there is only one."""
+    """RMS of each component that fits leave in the heated states of a campaign that they have not seen.
+
+    0 where there is only one campaign.
+    """
     squares: list[list[Floats]] = [[] for _ in training.components]
     split, folds = hold_out(training)
     for fold in folds if split == "campaign" else ():
@@ -76,7 +79,7 @@ def _left_um(training: AxisStates, procedure: Procedure) -> list[float]:
         except AnalysisError:
             continue
         for found, name, samples in zip(squares, training.components, training.samples, strict=True):
-            unseen = samples.take(np.isin(samples.state, fold.test))
+            unseen = samples.take(np.isin(samples.state, fold.test) & ~training.cold[samples.state])
             found.append((unseen.value_um - model.predict(name, training, unseen)[0]) ** 2)
     return [float(np.sqrt(np.nanmean(np.concatenate(found)))) if found else 0.0 for found in squares]
 
