@@ -40,7 +40,7 @@ bench: $(VENV)/.package
 	@$(BIN)/python bench/run.py
 
 bench-carry: $(VENV)/.package
-	@$(ONE_THREAD) $(BIN)/python bench/carry.py --jobs 2
+	@$(ONE_THREAD) $(BIN)/python bench/carry.py --jobs 2 --page docs/carrying_over.md
 
 docs: $(VENV)/.dev
 	$(BIN)/sphinx-build -W -q docs docs/_build/html

@@ -21,6 +21,7 @@ from thetacomp.validation.acceptance import (
     fit_for_use,
     in_words,
 )
+from thetacomp.validation.harm import harm_notes
 from thetacomp.validation.joint_view import with_drift
 from thetacomp.validation.outcome import (
     ALL_SENSORS,
@@ -91,7 +92,7 @@ def judge(prepared: Prepared, trained: Trained, progress: Progress = lambda mess
     static = (
         acceptance_of_static_law(known, known_rows, permutations, trained.model) if trained.model.prediction else ()
     )
-    notes += _clock_notes(known_rows)
+    notes += [*harm_notes(known), *_clock_notes(known_rows)]
     model = with_verdict(trained.model, known_rows, _failed(acceptance), _failed(static), notes)
     return Judged(model, tuple(rows), tuple(by_state), permutations, acceptance)
 
