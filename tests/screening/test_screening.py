@@ -10,28 +10,24 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from thermal_network import network, operate
 
 from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.model.temperatures import Temperatures
-from thetacomp.screening import (
-    Detector,
-    ScreeningModel,
-    find_held_labels,
-    fit_screening,
-    from_json,
-    screen,
-    with_fault,
-)
-from thetacomp.screening.repair import sample_spikes
+from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder
+from thetacomp.machine import Machine, Sensor, SensorRole
+from thetacomp.screening import Detector, Finding, ScreeningModel, find_held_labels, fit_screening, with_fault
+from thetacomp.screening.campaigns import screened
 
 HOUR_S = 3600.0
 START_S = 4.0 * HOUR_S
@@ -51,6 +47,35 @@ def model() -> ScreeningModel:
     return fit_screening(campaigns()[:4])
 
 
+@dataclass(frozen=True)
+class Screening:
+    """What became of one campaign: its findings, the readings as used, and which stand as they were read (n, p)."""
+
+    findings: tuple[Finding, ...]
+    repaired: Temperatures
+    believed: NDArray[np.bool_]
+
+
+def machine_folder(tables: Sequence[Temperatures], role: SensorRole = "structure") -> MachineFolder:
+    """Campaigns c0, c1, ... of a machine that measured temperatures alone."""
+    sensors = tuple(Sensor(id=name, role=role) for name in tables[0].sensor_ids)
+    made = tuple(Campaign(f"c{k}", CampaignSettings(), table) for k, table in enumerate(tables))
+    return MachineFolder(Machine(name="network", sensors=sensors), made)
+
+
+def screen(table: Temperatures, others: Sequence[Temperatures] | None = None) -> Screening:
+    """The verdict on one campaign, judged by healthy others that it does not judge."""
+    known = campaigns()[:4] if others is None else others
+    folder = machine_folder([*known, table])
+    out = screened(folder, [f"c{k}" for k in range(len(known))], (f"c{len(known)}",))
+    used = out.folder.campaigns[-1].temperatures
+    used = used.padded(table.sensor_ids)
+    with np.errstate(invalid="ignore"):
+        stands = np.isfinite(table.value_degC) & (used.value_degC == table.value_degC)
+    assert {name for name, _ in out.findings} <= {folder.campaigns[-1].name}
+    return Screening(tuple(f for _, f in out.findings), used, stands)
+
+
 def healthy() -> Temperatures:
     return campaigns()[4]
 
@@ -60,7 +85,7 @@ def column(table: Temperatures, sensor: str = SENSOR) -> Floats:
 
 
 def test_a_healthy_campaign_is_believed_as_it_is() -> None:
-    result = screen(model(), healthy())
+    result = screen(healthy())
     assert result.findings == ()
     assert result.believed.all()
     np.testing.assert_array_equal(result.repaired.value_degC, healthy().value_degC)
@@ -68,7 +93,7 @@ def test_a_healthy_campaign_is_believed_as_it_is() -> None:
 
 @pytest.mark.parametrize("size_K", [2.0, -5.0, 31.0])
 def test_a_jump_is_found_at_once_and_shifted_back(size_K: float) -> None:
-    result = screen(model(), with_fault(healthy(), SENSOR, "jump", START_S, size_K=size_K))
+    result = screen(with_fault(healthy(), SENSOR, "jump", START_S, size_K=size_K))
     (found,) = result.findings
     assert (found.sensor, found.kind, found.repair) == (SENSOR, "jump", "shifted back")
     assert found.size_K == pytest.approx(size_K, abs=0.1)
@@ -82,19 +107,19 @@ def test_a_jump_is_found_at_once_and_shifted_back(size_K: float) -> None:
 
 @pytest.mark.parametrize(("start_s"), [START_S + 29.0, START_S + 31.0, START_S + 59.0])
 def test_no_sample_of_a_jump_is_left_wherever_it_falls_in_a_block(start_s: float) -> None:
-    result = screen(model(), with_fault(healthy(), SENSOR, "jump", start_s, size_K=31.0))
+    result = screen(with_fault(healthy(), SENSOR, "jump", start_s, size_K=31.0))
     assert np.max(np.abs(column(result.repaired) - column(healthy()))) < 0.1
 
 
 def test_a_jump_back_ends_the_shift() -> None:
-    result = screen(model(), with_fault(healthy(), SENSOR, "jump", START_S, size_K=5.0, duration_s=HOUR_S))
+    result = screen(with_fault(healthy(), SENSOR, "jump", START_S, size_K=5.0, duration_s=HOUR_S))
     (found,) = result.findings
     assert found.end_s == pytest.approx(START_S + HOUR_S, abs=120.0)
     assert np.max(np.abs(column(result.repaired) - column(healthy()))) < 0.1
 
 
 def test_a_drift_is_rebuilt_from_before_its_begin() -> None:
-    result = screen(model(), with_fault(healthy(), SENSOR, "drift", START_S, rate_K_per_h=0.5))
+    result = screen(with_fault(healthy(), SENSOR, "drift", START_S, rate_K_per_h=0.5))
     (found,) = result.findings
     assert (found.sensor, found.kind, found.repair) == (SENSOR, "drift", "reconstructed")
     assert found.start_s == pytest.approx(START_S, abs=1200.0)
@@ -107,20 +132,20 @@ def test_a_drift_is_rebuilt_from_before_its_begin() -> None:
 
 def test_lost_contact_is_told_from_drift() -> None:
     faulty = with_fault(healthy(), SENSOR, "detached", START_S, size_K=2.0, air_degC=10.0)
-    (found,) = screen(model(), faulty).findings
+    (found,) = screen(faulty).findings
     assert (found.sensor, found.kind) == (SENSOR, "detached")
     assert found.detected_s - START_S < 600.0
 
 
 def test_a_stuck_channel_and_one_at_its_limit() -> None:
-    (found,) = screen(model(), with_fault(healthy(), SENSOR, "stuck", START_S)).findings
+    (found,) = screen(with_fault(healthy(), SENSOR, "stuck", START_S)).findings
     assert (found.sensor, found.kind) == (SENSOR, "stuck")
     assert found.start_s == pytest.approx(START_S, abs=120.0)
     assert found.statistic > found.threshold  # both in seconds
     warm = column(healthy(), "theta_5")  # rises above 70 % of its range, and falls back below it later
     first = int(np.argmax(warm > warm.min() + 0.7 * np.ptp(warm)))
     cut = with_fault(healthy(), "theta_5", "saturated", float(healthy().t_s[first]))
-    at_limit = [f for f in screen(model(), cut).findings if f.kind == "saturated"]
+    at_limit = [f for f in screen(cut).findings if f.kind == "saturated"]
     assert at_limit
     assert at_limit[0].sensor == "theta_5"
     assert at_limit[0].size_K == pytest.approx(warm[first] - warm.max(), abs=1.0)
@@ -128,7 +153,7 @@ def test_a_stuck_channel_and_one_at_its_limit() -> None:
 
 def test_swapped_channels_are_exchanged_back() -> None:
     faulty = with_fault(healthy(), SENSOR, "swapped", START_S, partner="theta_9")
-    result = screen(model(), faulty)
+    result = screen(faulty)
     (found,) = result.findings
     assert found.kind == "swapped"
     assert {found.sensor, found.partner} == {SENSOR, "theta_9"}
@@ -141,7 +166,7 @@ def test_swapped_channels_are_exchanged_back() -> None:
 def test_a_drop_out_is_bridged_and_the_sensor_believed_again(absent: float) -> None:
     table = with_fault(healthy(), SENSOR, "missing", START_S, duration_s=HOUR_S)
     table = replace(table, value_degC=np.where(np.isnan(table.value_degC), absent, table.value_degC))
-    result = screen(model(), table)
+    result = screen(table)
     (found,) = result.findings
     assert (found.kind, found.repair) == ("missing", "reconstructed")
     assert found.end_s == pytest.approx(START_S + HOUR_S, abs=120.0)
@@ -165,7 +190,7 @@ def test_one_missing_sample_is_no_fault_and_lies_between_its_neighbours() -> Non
 def test_two_faulty_sensors_at_different_times() -> None:
     faulty = with_fault(healthy(), SENSOR, "jump", START_S, size_K=31.0)
     faulty = with_fault(faulty, "theta_6", "drift", START_S + HOUR_S, rate_K_per_h=1.0)
-    result = screen(model(), faulty)
+    result = screen(faulty)
     assert {(f.sensor, f.kind) for f in result.findings} == {(SENSOR, "jump"), ("theta_6", "drift")}
     error_K = result.repaired.value_degC - healthy().value_degC
     assert np.max(np.sqrt(np.mean(error_K**2, axis=0))) < 0.15
@@ -189,7 +214,7 @@ def test_another_operation_is_not_blamed_on_the_sensors() -> None:
     value = healthy().value_degC.copy()
     late = healthy().t_s > START_S
     value[np.ix_(late, np.arange(0, 15, 2))] += np.linspace(0.8, 3.0, 8)  # half of the sensors step at once
-    found = screen(model(), replace(healthy(), value_degC=value)).findings
+    found = screen(replace(healthy(), value_degC=value)).findings
     assert {f.kind for f in found} == {"unexplained"}
 
 
@@ -197,7 +222,7 @@ def test_a_pause_of_the_logger_is_no_fault() -> None:
     t = healthy().t_s
     for pause_s in (120.0, 1800.0, 30000.0):
         on = (t < 2.0 * HOUR_S) | (t > 2.0 * HOUR_S + pause_s)
-        assert screen(model(), Temperatures(t[on], healthy().sensor_ids, healthy().value_degC[on])).findings == ()
+        assert screen(Temperatures(t[on], healthy().sensor_ids, healthy().value_degC[on])).findings == ()
 
 
 def test_a_fault_within_the_training_does_not_spoil_the_model() -> None:
@@ -219,7 +244,7 @@ def test_live_verdicts_agree_with_the_record_and_never_use_a_wild_value() -> Non
     assert seen[at] == "suspect"
     assert seen[-1] == "repaired"
     live = [f for f in detector.monitor.events if f.j == j]
-    assert [e.kind for e in live] == [f.kind for f in screen(model(), faulty).findings]
+    assert [e.kind for e in live] == [f.kind for f in screen(faulty).findings]
 
 
 def test_the_detector_refuses_what_it_cannot_use() -> None:
@@ -230,7 +255,7 @@ def test_the_detector_refuses_what_it_cannot_use() -> None:
     with pytest.raises(AnalysisError, match="15 temperatures was expected, 3 came"):
         detector.update(1.0, np.zeros(3))
     with pytest.raises(AnalysisError, match="other sensors"):
-        screen(model(), replace(healthy(), sensor_ids=tuple(f"s{i}" for i in range(15))))
+        screen(replace(healthy(), sensor_ids=tuple(f"s{i}" for i in range(15))))
     with pytest.raises(AnalysisError, match="at least one campaign"):
         fit_screening([])
     short = replace(healthy(), t_s=healthy().t_s[:20], value_degC=healthy().value_degC[:20])
@@ -241,7 +266,7 @@ def test_the_detector_refuses_what_it_cannot_use() -> None:
 def test_the_model_goes_through_json_unchanged() -> None:
     again = from_json(json.loads(json.dumps(model().to_json())))
     faulty = with_fault(healthy(), SENSOR, "drift", START_S)
-    assert screen(again, faulty).findings == screen(model(), faulty).findings
+    assert screen(again, faulty).findings == screen(faulty).findings
     with pytest.raises(AnalysisError, match="Fit it again"):
         from_json({"format": 1})
 
@@ -252,7 +277,7 @@ def test_stated_limits_hold() -> None:
     for size_K, expected in ((limit.jump_transient_K, range(9, 11)), (limit.jump_transient_K / 5.0, range(0, 1))):
         count = 0
         for start_s in np.linspace(1.5 * HOUR_S, 9.0 * HOUR_S, 10):
-            found = screen(model(), with_fault(healthy(), SENSOR, "jump", float(start_s), size_K=size_K)).findings
+            found = screen(with_fault(healthy(), SENSOR, "jump", float(start_s), size_K=size_K)).findings
             count += any(f.sensor == SENSOR for f in found)
         assert count in expected
 
@@ -260,7 +285,7 @@ def test_stated_limits_hold() -> None:
 def test_no_false_alarm_in_ten_days() -> None:
     """Nights, another season than in training and sampling by the minute; `bench/bench_screening.py` runs months."""
     table, _ = operate(network(1), 240.0, np.random.default_rng(11), step_s=60.0, season_degC=27.0)
-    assert screen(model(), table).findings == ()
+    assert screen(table).findings == ()
 
 
 def _recording(path: Path) -> list[Temperatures]:
