@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from rigid_machine import MACHINE, P0_MM, REFERENCE_S, Rigid, draw_rigid, measure
 from small_models import Part, component, document, term
-from thetacomp.screening.model import ScreeningModel
 
 from thetacomp.analysis import analyze_folder
 from thetacomp.campaign import Campaign, CampaignSettings, LeadIn, MachineFolder
@@ -18,6 +17,7 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.model.fallback import DECAY_S
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.preparation import Prepared, prepare
+from thetacomp.screening import ScreeningModel
 from thetatwin.campaigns import Twin, plan_campaigns, run_campaign
 from thetatwin.conditions import Conditions
 from thetatwin.trial import online as online_module

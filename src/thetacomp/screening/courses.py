@@ -28,7 +28,7 @@ COOLING = 0.1  # of the campaign, at least, it cools
 GROWS = 0.6  # of what a ramp would grow while the machine cools
 FLOOR_K = 0.1  # errors of readings, in a misfit
 MOST_PAIRED = 25  # pairs that are tried in detail
-REST_K = 1.2
+REST_K = 1.5
 REST_CLEAR = 3.0  # times the usual scatter of a sensor's level at rest
 ALONE = 0.5  # where another sensor is off by this share, the machine itself is still warm
 STANDS = 0.35  # an offset keeps its size to within this share
@@ -104,7 +104,7 @@ def departs_alone(found: Departure, own: Course, taught: Teachers) -> bool:
 
 def rest_K(own: Course, steady: Bools) -> Floats:
     """Level of each sensor (p,) at the start against the median of the `steady` ones that were read."""
-    return np.asarray(own.start_degC - np.median(own.start_degC[own.read & steady]))
+    return np.asarray(own.first_degC - np.nanmedian(own.first_degC[own.read & steady]))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from thetacomp.screening.faults import PLAUSIBLE_DEGC
 BLOCK_S = 60.0
 ROWS = 120  # so many means of a campaign are enough for slow courses
 EARLY_S = 5400.0
+FIRST_S = 180.0
 LAG_S = 1800.0  # metal between a sensor and its neighbours follows in about half an hour
 
 
@@ -63,6 +64,14 @@ class Course:
         for i in range(1, len(rise)):
             lag[i] = keep * lag[i - 1] + (1.0 - keep) * 0.5 * (rise[i] + rise[i - 1])
         return np.hstack([rise, lag])
+
+    @cached_property
+    def first_degC(self) -> Floats:
+        """Levels (p,) of the first minutes, before heat has moved anything; NaN where nothing was read."""
+        rows = self.early_s < max(FIRST_S, 1.5 * float(self.early_s[0]))
+        good = np.isfinite(self.early_degC[rows])
+        count = np.where(good.any(axis=0), good.sum(axis=0), np.nan)
+        return np.asarray(np.where(good, self.early_degC[rows], 0.0).sum(axis=0) / count)
 
     @property
     def rise_K(self) -> Floats:

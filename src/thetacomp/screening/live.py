@@ -69,6 +69,7 @@ class Detector:
     def __init__(self, model: ScreeningModel) -> None:
         self.model = model
         self.p = len(model.sensor_ids)
+        self._clear_K = steps.clear_K(model.noise_K)
         self._found: list[Finding] = []
         self._offset_K = np.zeros(self.p)
         self._source = np.arange(self.p)
@@ -190,7 +191,7 @@ class Detector:
         bend = np.abs(self._ring[-1] - 2.0 * self._ring[-2] + self._ring[-3])
         self._bend = np.vstack([self._bend[1:], np.nan_to_num(bend)])
         self._steps()
-        noisy = np.median(self._bend, axis=0) > self.model.scatter_K
+        noisy = (self._bend > self.model.scatter_K).sum(axis=0) > steps.SCATTER_BLOCKS // 2
         for j in np.flatnonzero(noisy).tolist():
             if j not in self._out:
                 first = int(np.argmax(self._bend[:, j] > self.model.scatter_K[j]))
@@ -207,11 +208,14 @@ class Detector:
         return self._t0_s + number * self.model.step_s
 
     def _steps(self) -> None:
+        across_K = np.abs(self._ring[steps.SIDE + 1] - self._ring[steps.SIDE - 1])
+        if not (across_K > self._clear_K).any():
+            return
         step_K, _ = steps.isolated(self._ring.T)
         step_K[list(self._out)] = 0.0
         for j in np.argsort(-np.abs(step_K)).tolist():
             size_K = float(step_K[j])
-            if abs(size_K) <= self.model.step_K[j]:
+            if abs(size_K) <= self._clear_K[j]:
                 return
             near = np.abs(step_K) > np.maximum(steps.TOGETHER * abs(size_K), steps.NOISE * self.model.noise_K)
             near[j] = False
@@ -221,7 +225,7 @@ class Detector:
             if other is not None:
                 self._exchange(step, *other)
                 return
-            if step.is_fault:
+            if step.is_fault and abs(size_K) > self.model.step_K[j]:
                 self._shift(step)
 
     def _shift(self, step: steps.Step) -> None:

@@ -38,23 +38,19 @@ def with_steps(record: Record, others: Sequence[Record], roles: Sequence[str], f
     else:  # the other sensors of the campaign say what is usual
         usual_K = np.full(len(roles), np.sort(record.sharp.sharpest_K)[-2:].min(initial=0.0))
     span_K = float(np.median([np.nanmax(r.value) - np.nanmin(r.value) for r in (record, *others)]))
-    exchanged: set[int] = set()
+    exchanged = steps.exchanges(record.sharp)
+    for step, k, times in exchanged:
+        found = replace(
+            _finding(record, step, "swapped", "swapped back"),
+            partner=record.table.sensor_ids[k], statistic=times,
+        )  # fmt: skip
+        record = record.exchanged(found, step.j, k)
+    pairs = {j for step, k, _ in exchanged for j in (step.j, k)}
     for step in sorted(steps.steps(record.sharp, usual_K, fast, span_K), key=lambda s: s.t_s):
-        if step.j in exchanged:
+        if step.j in pairs:
             continue
-        other = steps.exchange(record.sharp.x, int(np.searchsorted(record.sharp.t_s, step.t_s)), step)
-        if other is not None:
-            k, times = other
-            exchanged |= {step.j, k}
-            found = replace(
-                _finding(record, step, "swapped", "swapped back"),
-                partner=record.table.sensor_ids[k], statistic=times, threshold=steps.EXCHANGED,
-            )  # fmt: skip
-            record = record.exchanged(found, step.j, k)
-        elif step.is_fault:
-            record = _shifted(record, step)
-        else:
-            record = record.told(_finding(record, step, "unexplained", "none"))
+        known = _finding(record, step, "unexplained", "none")
+        record = _shifted(record, step) if step.is_fault else record.told(known)
     return record
 
 

@@ -11,11 +11,13 @@ from thetacomp.arrays import Floats
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.screening.grid import BLOCK_S, block_means
 
+LONG_SIDE = 10
 SIDE = 5  # blocks of the straight line on each side of a step
 ISOLATED = 3.0  # times the changes around it: a first-order response sampled faster than its time constant has not
 BENT = 3.0  # times the change of slope over one side
 NOISE = 10.0  # robust standard deviations
 SMALLEST_K = 1.5
+SMALLEST_EXCHANGE_K = 0.3
 SCATTER_BLOCKS = 30
 SCATTER_K = 0.5  # a smaller scatter averages out
 RESTLESS = 3.0  # times the largest scatter that is usual elsewhere
@@ -128,22 +130,62 @@ def steps(own: Sharp, usual_K: Floats, fast: Sequence[bool], whole_K: float) -> 
     (`fast`) may follow a door or a pump: there only a step beyond `whole_K`, all that the machine ever spans, counts.
     """
     limit = np.maximum.reduce([np.full(len(usual_K), SMALLEST_K), NOISE * own.noise_K, OWN * usual_K])
-    limit = np.where(fast, np.maximum(limit, whole_K), limit)
+    limit = np.asarray(np.where(fast, np.maximum(limit, whole_K), limit))
     found = []
+    for j, at in _peaks(own, limit):
+        size_K = float(own.step_K[at, j])
+        habit = np.sort(np.sign(size_K) * np.delete(own.step_K[:, j], np.arange(max(at - SIDE, 0), at + SIDE + 1)))
+        if not len(habit) or OWN * habit[-1] <= abs(size_K):  # else it does so again and again
+            others, stays = _together(own, at, j), _stays(own, j, at)
+            found.append(Step(j, float(own.t_s[at]), _size_K(own, j, at), float(limit[j]), others, stays))
+    return found
+
+
+def exchanges(own: Sharp) -> list[tuple[Step, int, float]]:
+    """Moments at which two channels change places, and nothing else steps: with the other sensor and how clearly.
+
+    Two opposite steps that bring each sensor to the level of the other need not be larger than what machines do.
+    """
+    found: list[tuple[Step, int, float]] = []
+    for j, at in _peaks(own, clear_K(own.noise_K)):
+        step = Step(j, float(own.t_s[at]), float(own.step_K[at, j]), EXCHANGED, _together(own, at, j), stays=True)
+        other = exchange(own.x, at, step)
+        if other is not None and not any(k == j and abs(s.t_s - step.t_s) < SIDE * own.step_s for s, k, _ in found):
+            found.append((step, *other))
+    return found
+
+
+def clear_K(noise_K: Floats) -> Floats:
+    """Steps (p,) beyond any noise."""
+    return np.maximum(SMALLEST_EXCHANGE_K, NOISE * noise_K)
+
+
+def _peaks(own: Sharp, limit: Floats) -> list[tuple[int, int]]:
+    """Sensors and blocks of the largest steps beyond the limit, one for each time that a sensor steps."""
+    out = []
     for j in np.flatnonzero((np.abs(own.step_K) > limit).any(axis=0)).tolist():
         rows = np.flatnonzero(np.abs(own.step_K[:, j]) > limit[j])
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > SIDE) + 1):
-            at = int(run[np.argmax(np.abs(own.step_K[run, j]))])
-            size_K = float(own.step_K[at, j])
-            near = np.abs(own.step_K[max(at - 2, 0) : at + 3]).max(axis=0)
-            with_it = near > np.maximum(TOGETHER * abs(size_K), NOISE * own.noise_K)
-            with_it[j] = False
-            habit = np.sort(np.sign(size_K) * np.delete(own.step_K[:, j], np.arange(max(at - SIDE, 0), at + SIDE + 1)))
-            if len(habit) and OWN * habit[-1] > abs(size_K):
-                continue  # it does so again and again
-            others = tuple(np.flatnonzero(with_it).tolist())
-            found.append(Step(j, float(own.t_s[at]), size_K, float(limit[j]), others, _stays(own, j, at)))
-    return found
+            out.append((j, int(run[np.argmax(np.abs(own.step_K[run, j]))])))
+    return out
+
+
+def _together(own: Sharp, at: int, j: int) -> tuple[int, ...]:
+    """Other sensors that step at the same time, by a share of the step and beyond their noise."""
+    near = np.abs(own.step_K[max(at - 2, 0) : at + 3]).max(axis=0)
+    with_it = near > np.maximum(TOGETHER * abs(float(own.step_K[at, j])), NOISE * own.noise_K)
+    with_it[j] = False
+    return tuple(np.flatnonzero(with_it).tolist())
+
+
+def _size_K(own: Sharp, j: int, at: int) -> float:
+    """The step between straight lines through the longer stretches before and after it."""
+    level = []
+    for rows in (slice(max(at - LONG_SIDE, 0), at), slice(at + 1, at + 1 + LONG_SIDE)):
+        good = np.isfinite(own.x[rows, j])
+        t_s = own.t_s[rows][good] - own.t_s[at]
+        level.append(float(np.polynomial.Polynomial.fit(t_s, own.x[rows, j][good], 1)(0.0)))
+    return level[1] - level[0]
 
 
 def first_sample_s(t_s: Floats, column: Floats, step: Step, step_s: float) -> float:

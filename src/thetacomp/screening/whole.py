@@ -13,7 +13,7 @@ from thetacomp.screening.faults import Finding
 from thetacomp.screening.others import Teachers, teachers
 from thetacomp.screening.record import Record
 
-BLAME = 1.0  # without the sensor that is to blame the others agree at least as well
+BLAME = 0.8  # without the sensor that is to blame the others agree about as well, or better
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ def drift(record: Record, others: Sequence[Record], steady: Bools) -> Mended | N
     suspects = [d for d in gone if grows_while_cooling(d, own) or departs_alone(d, own, taught)]
     if not suspects:
         return None
-    worst = max(suspects, key=lambda d: abs(d.size_K))
-    rest = [d.j for d in gone if d.j != worst.j]
-    if _misfit(record, taught, rest, out | {worst.j}) > BLAME * _misfit(record, taught, rest, out):
+    eased = [(_eased(record, taught, [g.j for g in gone if g.j != d.j], d.j, out), d) for d in suspects]
+    best, worst = max(eased, key=lambda pair: pair[0])
+    if best < BLAME:
         return None
     onset_s = float(own.t_s[worst.onset])
     told = _finding(record, worst.j, "drift", worst.size_K, abs(worst.size_K), worst.limit_K)
@@ -65,10 +65,16 @@ def drift(record: Record, others: Sequence[Record], steady: Bools) -> Mended | N
     return Mended(abs(worst.size_K) / worst.limit_K, told, record, record.silenced(told, worst.j))
 
 
-def _misfit(record: Record, taught: Teachers, sensors: Sequence[int], out: frozenset[int]) -> float:
-    """How far sensors are from what the others not in `out` say, in usual errors squared."""
-    gone = [departure(record.course, taught, j, out) for j in sensors]
-    return sum(float(np.mean(d.off_K**2)) / max(d.usual_K, 0.1) ** 2 for d in gone)
+def _eased(record: Record, taught: Teachers, sensors: Sequence[int], j: int, out: frozenset[int]) -> float:
+    """How many times the misfit of the other sensors falls when sensor j no longer helps to predict them."""
+    before, after = (
+        sum(
+            float(np.mean(d.off_K**2)) / max(d.usual_K, 0.1) ** 2
+            for d in (departure(record.course, taught, k, gone) for k in sensors)
+        )
+        for gone in (out, out | {j})
+    )
+    return before / max(after, 1e-9)
 
 
 def _finding(record: Record, j: int, kind: str, size_K: float, statistic: float, threshold: float) -> Finding:
