@@ -12,7 +12,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.model.temperatures import Temperatures
 
 FaultKind = Literal["jump", "offset", "drift", "stuck", "swapped", "missing", "noisy", "unexplained"]
-InjectedKind = Literal["jump", "drift", "detached", "stuck", "saturated", "swapped", "missing"]
+InjectedKind = Literal["jump", "drift", "detached", "stuck", "swapped", "missing"]
 Repair = Literal["shifted back", "reconstructed", "swapped back", "lost", "none"]
 PLAUSIBLE_DEGC = (-60.0, 300.0)
 
@@ -61,7 +61,7 @@ def with_fault(
 
     `jump` adds `size_K`; `drift` adds a ramp; `detached` relaxes with `time_constant_s` towards air until `size_K` (K,
     positive) of its distance from `air_degC` (a number, or one a sample) is lost: gain 1 - size / distance at the
-    start; `stuck` repeats the last value; `saturated` cuts off above the value at `start_s`; `swapped` exchanges with
+    start; `stuck` repeats the last value; `swapped` exchanges with
     `partner`; `missing` gives NaN. `duration_s` ends the fault. AnalysisError for an unknown sensor.
     """
     for name in (sensor, *((partner,) if kind == "swapped" else ())):
@@ -84,8 +84,6 @@ def with_fault(
         value[on, j] -= share * distance_K[on] * -np.expm1(-(t[on] - start_s) / time_constant_s)
     elif kind == "stuck":
         value[on, j] = own[first]
-    elif kind == "saturated":
-        value[on, j] = np.minimum(own[on], own[first])
     elif kind == "swapped":
         k = temperatures.sensor_ids.index(partner)
         value[on, j], value[on, k] = value[on, k].copy(), own[on]

@@ -16,7 +16,7 @@ SENTINEL_K = 5.0  # a constant reading that far from those before and after it i
 SHORTEST_S = 600.0
 FEWEST = 8
 LONGER = 3.0  # times the longest run of equal readings that is usual elsewhere
-FAR_LONGER = 6.0  # so long that nothing else needs to speak against it
+FAR_LONGER = 5.0  # so long that nothing else needs to speak against it
 NOISE_LOG = 25.0  # a run of equal readings this improbable (e^-25) for a sensor of that noise
 WINDOW = 30
 
