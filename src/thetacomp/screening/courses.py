@@ -21,9 +21,9 @@ STRAIGHT = 0.9  # share of a drift's course that a straight ramp explains
 STRAIGHTEST = 0.995
 COOLED = 0.15  # the machine loses this share of its heat meanwhile, at one go or in pauses
 FAR_CLEAR = 10.0
-ALONE_STRAIGHT = 0.95
+FAR_STRAIGHT = 0.95
 FEWEST_WITNESSES = 8
-AGREE = 2.0  # times its usual error, a sensor still agrees with the others
+AGREE = 3.0  # times its usual error, a sensor still agrees with the others
 COOLING = 0.1  # of the campaign, at least, it cools
 GROWS = 0.6  # of what a ramp would grow while the machine cools
 FLOOR_K = 0.1  # errors of readings, in a misfit
@@ -31,7 +31,7 @@ MOST_PAIRED = 25  # pairs that are tried in detail
 REST_K = 1.5
 REST_CLEAR = 3.0  # times the usual scatter of a sensor's level at rest
 ALONE = 0.5  # where another sensor is off by this share, the machine itself is still warm
-STANDS = 0.35  # an offset keeps its size to within this share
+STANDS = 0.2  # an offset keeps its size to within this share
 COOLS_PER_H = 0.12  # a body warmer than all others at rest loses at least this share of it in an hour
 COLD_K = 0.4  # the machine is at rest until a sensor has moved by this much
 
@@ -88,16 +88,16 @@ def grows_while_cooling(found: Departure, own: Course) -> bool:
     return bool(grown > (GROWS if beyond else 1.25 * GROWS) * expected)
 
 
-def departs_alone(found: Departure, own: Course, taught: Teachers) -> bool:
-    """A steady departure in a campaign that is otherwise as the others: no other sensor leaves its prediction.
+def is_far_and_straight(found: Departure, own: Course, taught: Teachers) -> bool:
+    """A departure so far beyond what is usual, and so straight, that it needs no cooling to be told from heat."""
+    witnesses = own.read.sum() - 1 >= FEWEST_WITNESSES and len(taught.courses) > 1
+    beyond = abs(found.size_K) >= max(SMALLEST_K, FAR_CLEAR * found.usual_K)
+    return bool(witnesses and beyond and found.explained >= FAR_STRAIGHT)
 
-    A source of heat that the other campaigns did not have would show in several of them.
-    """
-    if abs(found.size_K) < max(SMALLEST_K, FAR_CLEAR * found.usual_K) or found.explained < ALONE_STRAIGHT:
-        return False
+
+def departs_alone(found: Departure, own: Course, taught: Teachers) -> bool:
+    """Whether no other sensor leaves its prediction: a new source of heat would show in several of them."""
     rest = [k for k in np.flatnonzero(own.read).tolist() if k != found.j]
-    if len(rest) < FEWEST_WITNESSES or len(taught.courses) < 2:
-        return False
     gone = [departure(own, taught, k, (found.j,)) for k in rest]
     return all(float(np.sqrt(np.mean(d.off_K**2))) < AGREE * max(d.usual_K, FLOOR_K) for d in gone)
 
@@ -140,8 +140,12 @@ def standing(own: Course, others: Sequence[Course], taught: Teachers, steady: Bo
     farther = abs(rest[j]) > abs(rest[j] - size_K) + 0.6 * abs(size_K)
     if abs(size_K) < limit or others_K.max() > ALONE * abs(size_K) or not farther:
         return None
-    if size_K > 0.0 and not (_lasts(own, taught, j, size_K) or _keeps_at_rest(own, j, size_K)):
-        return None
+    if size_K > 0.0:
+        slope, error = _slope_at_rest(own, j)
+        keeps = -slope + 2.0 * error < COOLS_PER_H * size_K
+        cools = -slope > 2.0 * error
+        if not keeps and (cools or not _lasts(own, taught, j, size_K)):
+            return None
     return Standing(j, size_K, limit)
 
 
@@ -153,8 +157,10 @@ def _lasts(own: Course, taught: Teachers, j: int, size_K: float) -> bool:
     return abs(float(late.mean())) < STANDS * abs(size_K)
 
 
-def _keeps_at_rest(own: Course, j: int, size_K: float) -> bool:
-    """Whether the sensor stays where it is before the machine warms: a warm body would cool by a tenth in an hour."""
+def _slope_at_rest(own: Course, j: int) -> tuple[float, float]:
+    """Slope of sensor j in K/h before the machine warms, with its standard error; the error infinite where the time
+    is too short to tell.
+    """
     others = own.read.copy()
     others[j] = False
     rise = np.abs(own.early_degC[:, others] - np.nanmean(own.early_degC[:3, others], axis=0))
@@ -162,14 +168,13 @@ def _keeps_at_rest(own: Course, j: int, size_K: float) -> bool:
     cold = np.arange(len(moved)) < (np.argmax(moved) if moved.any() else len(moved))
     cold &= np.isfinite(own.early_degC[:, j])
     if cold.sum() < 5:
-        return False
+        return 0.0, np.inf
     t_h = own.early_s[cold] / 3600.0
     t_h = t_h - t_h.mean()
     x = own.early_degC[cold, j] - own.early_degC[cold, j].mean()
     power = float(t_h @ t_h)
     slope = float(t_h @ x) / power
-    error = float(np.sqrt(np.sum((x - slope * t_h) ** 2) / (len(x) - 2) / power))
-    return bool(-slope * np.sign(size_K) + 2.0 * error < COOLS_PER_H * abs(size_K))
+    return slope, float(np.sqrt(np.sum((x - slope * t_h) ** 2) / (len(x) - 2) / power))
 
 
 @dataclass(frozen=True)

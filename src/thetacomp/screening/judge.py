@@ -17,7 +17,8 @@ from thetacomp.screening.whole import Mended, drift, offset, swapped
 
 MIN_SAMPLES = 30
 FAST: tuple[SensorRole, ...] = ("fluid", "workpiece")  # a pump, a new part: a step is no fault there
-AIR_S = 60.0  # sampled more slowly, air makes steps too
+AIR_S = 60.0  # sampled more slowly, air makes steps too,
+SOURCE_S = 120.0  # and what is mounted on a source of heat
 LOOSE: tuple[SensorRole, ...] = ("fluid", "workpiece", "ambient", "foundation")  # season and hall move them
 MOST_FAULTS = 20
 
@@ -51,8 +52,13 @@ class Judge:
 
     def _single(self, record: Record, records: Records) -> Record:
         roles = [self.roles[name] for name in record.table.sensor_ids]
-        slow = record.table.interval_s > AIR_S
-        fast = [role in FAST or (slow and role == "ambient") for role in roles]
+        interval_s = record.table.interval_s
+        fast = [
+            role in FAST
+            or (interval_s > AIR_S and role == "ambient")
+            or (interval_s > SOURCE_S and role in ("drive", "bearing"))
+            for role in roles
+        ]
         others = self.others(record, records)
         return with_noisy(with_steps(with_missing(record), others, roles, fast), others)
 

@@ -14,6 +14,8 @@ from thetacomp.screening.others import Teachers, teachers
 from thetacomp.screening.record import Record
 
 FASTEST_S = 60.0  # noise is told from work at this sampling or faster
+NEAR_S = 1800.0
+DENIED = 0.5  # share of a step that the others leave unexplained at least
 BACK = 0.25  # a step back that leaves this share of the shift ends it
 
 
@@ -46,12 +48,25 @@ def with_steps(record: Record, others: Sequence[Record], roles: Sequence[str], f
         )  # fmt: skip
         record = record.exchanged(found, step.j, k)
     pairs = {j for step, k, _ in exchanged for j in (step.j, k)}
+    taught = teachers([o.course for o in others]) if others else None
     for step in sorted(steps.steps(record.sharp, usual_K, fast, span_K), key=lambda s: s.t_s):
         if step.j in pairs:
             continue
         known = _finding(record, step, "unexplained", "none")
-        record = _shifted(record, step) if step.is_fault else record.told(known)
+        is_fault = step.is_fault and (taught is None or _others_deny(record, taught, step))
+        record = _shifted(record, step) if is_fault else record.told(known)
     return record
+
+
+def _others_deny(record: Record, taught: Teachers, step: steps.Step) -> bool:
+    """Whether the others do not explain most of a step; one before the campaign itself they cannot judge."""
+    own = record.course
+    off_K = own.rise_K[:, step.j] - own.inputs_K @ taught.weights(step.j)
+    before = off_K[(own.t_s < step.t_s) & (own.t_s > step.t_s - NEAR_S)]
+    after = off_K[(own.t_s > step.t_s) & (own.t_s < step.t_s + NEAR_S)]
+    if not len(before) or not len(after):
+        return True
+    return bool((after.mean() - before.mean()) * np.sign(step.size_K) > DENIED * abs(step.size_K))
 
 
 def _finding(record: Record, step: steps.Step, kind: str, repair: str) -> Finding:

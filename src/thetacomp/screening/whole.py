@@ -8,7 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thetacomp.arrays import Bools
-from thetacomp.screening.courses import departs_alone, departure, grows_while_cooling, standing, swap
+from thetacomp.screening.courses import (
+    departs_alone,
+    departure,
+    grows_while_cooling,
+    is_far_and_straight,
+    standing,
+    swap,
+)
 from thetacomp.screening.faults import Finding
 from thetacomp.screening.others import Teachers, teachers
 from thetacomp.screening.record import Record
@@ -52,7 +59,10 @@ def drift(record: Record, others: Sequence[Record], steady: Bools) -> Mended | N
     own, taught = record.course, teachers([o.course for o in others])
     out = frozenset(np.flatnonzero(~own.read).tolist())
     gone = [departure(own, taught, j, out) for j in np.flatnonzero(own.read & steady).tolist()]
-    suspects = [d for d in gone if grows_while_cooling(d, own) or departs_alone(d, own, taught)]
+    suspects = [
+        d for d in gone
+        if (grows_while_cooling(d, own) or is_far_and_straight(d, own, taught)) and departs_alone(d, own, taught)
+    ]  # fmt: skip
     if not suspects:
         return None
     eased = [(_eased(record, taught, [g.j for g in gone if g.j != d.j], d.j, out), d) for d in suspects]
