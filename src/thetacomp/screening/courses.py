@@ -16,7 +16,7 @@ from thetacomp.screening.grid import Course
 from thetacomp.screening.others import Teachers
 
 SMALLEST_K = 1.5  # a departure that is worth a word
-CLEAR = 3.0  # times the usual error of the prediction
+CLEAR = 5.0  # times the usual error of the prediction
 STRAIGHT = 0.9  # share of a drift's course that a straight ramp explains
 STRAIGHTEST = 0.995
 COOLED = 0.15  # the machine loses this share of its heat meanwhile, at one go or in pauses
