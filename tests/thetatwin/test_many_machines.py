@@ -17,7 +17,7 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.model.fallback import DECAY_S
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.preparation import Prepared, prepare
-from thetacomp.screening.model import ScreeningModel
+from thetacomp.screening import ScreeningModel
 from thetatwin.campaigns import Twin, plan_campaigns, run_campaign
 from thetatwin.conditions import Conditions
 from thetatwin.trial import online as online_module

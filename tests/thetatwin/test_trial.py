@@ -242,7 +242,7 @@ def test_the_model_without_a_lost_sensor_is_made_once_and_does_not_read_it(monke
 def test_the_page_tells_when_a_fault_was_there() -> None:
     """Training takes two days; the fault begins at noon of the third day of the second month and lasts."""
     start_s = (2 + 30 + 2.5) * DAY_S
-    found = Finding("theta_1", "stuck", start_s, start_s + 600.0, None, 1.0, 1.0, 1.0, 1.0, "lost", (), 1.0)
+    found = Finding("theta_1", "stuck", start_s, start_s + 600.0, None, 1.0, 1.0, 1.0, "lost", (), 1.0)
     told = _Told.of(found, SHORT)
     assert (told.begin, told.end, told.seen_min, told.done) == ("2 / 3", "lasts", 10.0, "model without it")
 

@@ -115,16 +115,20 @@ def summary(analysis: AnalysisResult, out: Path, paths: tuple[Path, ...]) -> Out
 
 
 def _screening_lines(analysis: AnalysisResult) -> list[str]:
-    """One line where faults were found: nobody should read the figures without knowing."""
+    """What was found faulty, and what could not be looked for: nobody should read the figures without knowing."""
     found = analysis.screening
-    if found is None or not (found.findings or found.held):
+    if found is None:
         return []
     channels = dict.fromkeys(f"{channel.sensor} in {channel.campaign}" for channel in found.channels)
     held = sum(entry.count for entry in found.held if not entry.kept_because)
     parts = [f"faulty temperatures: {', '.join(channels)}"] if channels else []
     parts += [f"{held} displacements that are no measurement"] if held else []
     done = "repaired or left out" if found.repair else "used as read (--no-repair)"
-    return [f"{'; '.join(parts)}; {done}, see the notes and screening.csv"] if parts else []
+    lines = [f"{'; '.join(parts)}; {done}, see the notes and screening.csv"] if parts else []
+    for reason in dict.fromkeys(why for _, why in found.unscreened):
+        names = ", ".join(name for name, why in found.unscreened if why == reason)
+        lines.append(f"not screened for all faults of thermometers: campaign {names} ({reason})")
+    return lines
 
 
 SHOWN = ("default", "key_points", "clock", "one_sensor", "all_sensors", "training_mean")

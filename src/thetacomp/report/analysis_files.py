@@ -96,7 +96,6 @@ SCREENING_COLUMNS = (
     "size_K",
     "statistic",
     "threshold",
-    "window_s",
     "done",
     "u_K",
     "repaired_from",
@@ -109,7 +108,7 @@ def _screening_rows(analysis: AnalysisResult) -> Iterable[Sequence[object]]:
     for campaign, f in found.findings if found is not None else ():
         end_s = math.nan if f.end_s is None else f.end_s
         done = f.repair if found is not None and found.repair else "none"
-        evidence = (f.start_s, f.detected_s, end_s, f.size_K, f.statistic, f.threshold, f.window_s)
+        evidence = (f.start_s, f.detected_s, end_s, f.size_K, f.statistic, f.threshold)
         yield campaign, f.sensor, f.kind, f.partner, *evidence, done, f.repair_u_K, " ".join(f.repaired_from)
 
 

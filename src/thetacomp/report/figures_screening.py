@@ -14,11 +14,9 @@ _HEIGHT_IN = 4.0
 _MOST_FIGURES = 24
 _WORDS = {
     "jump": "jump",
-    "spike": "spike",
+    "offset": "off at rest",
     "drift": "drift",
-    "detached": "contact lost",
     "stuck": "stuck",
-    "saturated": "at its limit",
     "swapped": "exchanged",
     "missing": "no reading",
     "noisy": "noisy",
@@ -90,17 +88,13 @@ def _mark_faults(axes: Axes, findings: tuple[Finding, ...], last_h: float) -> No
     for f in findings:
         end_h = last_h if f.end_s is None else f.end_s / style.HOUR_S
         axes.axvspan(f.start_s / style.HOUR_S, end_h, color=style.AMBER, alpha=0.12, lw=0, zorder=0)
-        if f.kind != "spike":
-            axes.axvline(f.detected_s / style.HOUR_S, color=style.INK, lw=0.9, ls=":")
+        axes.axvline(f.detected_s / style.HOUR_S, color=style.INK, lw=0.9, ls=":")
 
 
 def _name_faults(axes: Axes, findings: tuple[Finding, ...]) -> None:
-    lasting = [f for f in findings if f.kind != "spike"]
-    spikes = [f for f in findings if f.kind == "spike"]
-    for f in lasting[:4] + spikes[:1]:
-        more = f" ({len(spikes)})" if f.kind == "spike" and len(spikes) > 1 else ""
+    for f in findings[:4]:
         axes.annotate(
-            _WORDS[f.kind] + more, (max(f.start_s, 0.0) / style.HOUR_S, 1.0), xycoords=("data", "axes fraction"),
+            _WORDS[f.kind], (max(f.start_s, 0.0) / style.HOUR_S, 1.0), xycoords=("data", "axes fraction"),
             xytext=(3, 2), textcoords="offset points", va="bottom", fontsize=7.5,
         )  # fmt: skip
 

@@ -1,24 +1,19 @@
 """Data hygiene: faulty temperature channels found from the other sensors, repaired where possible, with the evidence.
 
-At run time it needs numpy alone, so that the online service can screen live samples with the same code.
+At run time it needs numpy alone, so that the online service can screen live samples with the same rules.
 """
 
-from thetacomp.screening.detector import Detector, ScreenedSample
 from thetacomp.screening.faults import Finding, with_fault
 from thetacomp.screening.held_labels import find_held_labels
-from thetacomp.screening.model import DetectionLimit, ScreeningModel, from_json
-from thetacomp.screening.screen import Screening, fit_screening, screen
+from thetacomp.screening.live import Detector, ScreenedSample
+from thetacomp.screening.live_model import ScreeningModel, fit_screening
 
 __all__ = [
-    "DetectionLimit",
     "Detector",
     "Finding",
     "ScreenedSample",
-    "Screening",
     "ScreeningModel",
     "find_held_labels",
     "fit_screening",
-    "from_json",
-    "screen",
     "with_fault",
 ]

@@ -11,10 +11,8 @@ from thetacomp.arrays import Floats
 from thetacomp.errors import AnalysisError
 from thetacomp.model.temperatures import Temperatures
 
-FaultKind = Literal[
-    "jump", "spike", "drift", "detached", "stuck", "saturated", "swapped", "missing", "noisy", "unexplained"
-]
-InjectedKind = Literal["jump", "drift", "detached", "stuck", "saturated", "swapped", "missing"]
+FaultKind = Literal["jump", "offset", "drift", "stuck", "swapped", "missing", "noisy", "unexplained"]
+InjectedKind = Literal["jump", "drift", "detached", "stuck", "swapped", "missing"]
 Repair = Literal["shifted back", "reconstructed", "swapped back", "lost", "none"]
 PLAUSIBLE_DEGC = (-60.0, 300.0)
 
@@ -24,13 +22,12 @@ class Finding:
     """One fault of one sensor, with the evidence.
 
     `start_s` is the estimated begin, `detected_s` the time of the verdict, `end_s` None where the fault lasts.
-    `size_K` is the shift (jump, swapped), or the deviation from the prediction that was reached (drift, detached,
-    stuck); NaN where none is known. `statistic` stands against `threshold`: the residual of the increment over
-    `window_s` in standard deviations; for stuck, saturated and missing channels both are durations in seconds,
-    and for a spike of single samples (`window_s` 0) both count in the deviation that 1 % of healthy samples exceed.
+    `size_K` is the shift (jump, offset), the deviation at the end (drift), or how far two swapped courses are apart;
+    NaN where none is known. `statistic` stands against `threshold`: K for jump, offset and drift; s for a stuck or
+    missing channel; how many times the misfit falls, for a swap; times the usual scatter, for a noisy one.
     `repair_u_K` is the standard deviation of a repaired value at the end of the fault. A sensor whose repair is `lost`
-    has no usable value from `start_s` on: use a model without it. `unexplained` has no sensor: more sensors left their
-    predictions at once than faults can explain, so the machine does something that the training did not contain.
+    has no usable value from `start_s` on: use a model without it. `unexplained` is told and changes nothing: a step
+    that a machine can make.
     """
 
     sensor: str
@@ -41,28 +38,10 @@ class Finding:
     size_K: float
     statistic: float
     threshold: float
-    window_s: float
     repair: Repair
-    repaired_from: tuple[str, ...]
-    repair_u_K: float
+    repaired_from: tuple[str, ...] = ()
+    repair_u_K: float = 0.0
     partner: str = ""
-
-    def __str__(self) -> str:
-        size = f" {self.size_K:+.2f} K" if np.isfinite(self.size_K) else ""
-        partner = f" with {self.partner}" if self.partner else ""
-        timed = self.kind in ("stuck", "saturated", "missing")
-        if timed:
-            evidence = f"lasted {self.statistic:.0f} s, healthy at most {self.threshold:.0f} s"
-        elif self.window_s == 0.0:
-            evidence = f"{self.statistic:.1f} times the usual deviation of a sample, limit {self.threshold:.1f}"
-        else:
-            over = f"{self.window_s / 60:.0f} min"
-            evidence = f"{self.statistic:.1f} standard deviations over {over}, limit {self.threshold:.1f}"
-        mended = f"; {self.repair}"
-        if self.repaired_from:
-            mended += f" from {', '.join(self.repaired_from)} (u = {self.repair_u_K:.2g} K)"
-        who = self.sensor or "machine"
-        return f"{who}: {self.kind}{partner}{size} at {self.start_s / 3600:.2f} h ({evidence}){mended}"
 
 
 def with_fault(
@@ -82,7 +61,7 @@ def with_fault(
 
     `jump` adds `size_K`; `drift` adds a ramp; `detached` relaxes with `time_constant_s` towards air until `size_K` (K,
     positive) of its distance from `air_degC` (a number, or one a sample) is lost: gain 1 - size / distance at the
-    start; `stuck` repeats the last value; `saturated` cuts off above the value at `start_s`; `swapped` exchanges with
+    start; `stuck` repeats the last value; `swapped` exchanges with
     `partner`; `missing` gives NaN. `duration_s` ends the fault. AnalysisError for an unknown sensor.
     """
     for name in (sensor, *((partner,) if kind == "swapped" else ())):
@@ -105,8 +84,6 @@ def with_fault(
         value[on, j] -= share * distance_K[on] * -np.expm1(-(t[on] - start_s) / time_constant_s)
     elif kind == "stuck":
         value[on, j] = own[first]
-    elif kind == "saturated":
-        value[on, j] = np.minimum(own[on], own[first])
     elif kind == "swapped":
         k = temperatures.sensor_ids.index(partner)
         value[on, j], value[on, k] = value[on, k].copy(), own[on]

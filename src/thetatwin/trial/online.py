@@ -13,8 +13,7 @@ from thetacomp.model.document import ModelDocument
 from thetacomp.model.fallback import DECAY_S, degraded
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.model.volumetric import predict_volume
-from thetacomp.screening.detector import Detector
-from thetacomp.screening.model import ScreeningModel
+from thetacomp.screening import Detector, ScreeningModel
 
 
 @dataclass(frozen=True)

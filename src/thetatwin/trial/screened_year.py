@@ -19,7 +19,7 @@ from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening
 from thetatwin.hall import DAY_S
 from thetatwin.year import LEAD_DAYS, Readings
 
-PASSING = ("missing", "spike")  # reported only where they last
+PASSING = ("missing",)  # reported only where they last
 SHORTEST_S = 3600.0
 
 
@@ -35,9 +35,9 @@ class ScreenedMonth:
 
 @dataclass(frozen=True)
 class ScreenedYear:
-    """All months, and the faults that were found, in their final state; short missing readings and spikes left out.
+    """All months, and the faults that were found, in their final state; short missing readings left out.
 
-    A fault ends where the readings begin to agree; they are used a day later. `repair` is `lost` where the sensor was
+    A fault ends where the channel lives again. `repair` is `lost` where the sensor was
     left out for some of that time. `judged` is False where no fault was looked for.
     """
 
@@ -93,9 +93,7 @@ def screen_year(model: ScreeningModel, months: Sequence[Readings], begins_s: Seq
 
 
 def _left_out(found: Finding, model: ScreeningModel, t_s: Floats, out: NDArray[np.bool_]) -> Finding:
-    if not found.sensor:
-        return found
-    end_s = np.inf if found.end_s is None else found.end_s + DAY_S
+    end_s = np.inf if found.end_s is None else found.end_s
     rows = (t_s >= found.start_s) & (t_s < end_s)
     return replace(found, repair="lost") if out[rows, model.sensor_ids.index(found.sensor)].any() else found
 
