@@ -39,7 +39,8 @@ def least_sd(campaign: Campaign, *, is_angle: bool = False) -> float:
 def gross_readings(t_s: Floats, error: Floats, at_mm: Mapping[str, Floats], least: float) -> Bools:
     """Gross readings (n, k) of a record `error` (n, k): each column on its own, among readings at one position.
 
-    `least` is the smallest standard deviation of a reading, or the resolution of its column where that is larger. Fewer than nine readings cannot decide, so none of them is gross. A missing value is never gross.
+    `least` is the smallest standard deviation of a reading, or the resolution of its column where that is larger.
+    Fewer than nine readings cannot decide, so none of them is gross. A missing value is never gross.
     """
     gross = np.zeros(error.shape, dtype=bool)
     least_of = [max(least, resolution(column)) for column in error.T]

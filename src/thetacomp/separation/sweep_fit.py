@@ -240,7 +240,10 @@ def _robust_scale(residual: Floats, parameters: float) -> float:
 
 
 def find_outliers(data: ComponentData, curve: Curve, directions: Sequence[int], states: Ints) -> Bools:
-    """Points more than 4.5 robust standard deviations, of at least the instrument's resolution, from a Huber fit, (n,)."""
+    """Points more than 4.5 robust standard deviations from a Huber fit, (n,).
+
+    One such deviation is at least the instrument's resolution.
+    """
     least = resolution(data.error_um)
     system = _system(data, curve, directions, states, np.zeros((len(data.t_s), 0)))
     stated = np.sqrt(_point_weight(data))
