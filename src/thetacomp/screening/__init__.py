@@ -5,7 +5,6 @@ At run time it needs numpy alone, so that the online service can screen live sam
 
 from thetacomp.screening.detector import Detector, ScreenedSample
 from thetacomp.screening.faults import Finding, with_fault
-from thetacomp.screening.held_labels import find_held_labels
 from thetacomp.screening.model import DetectionLimit, ScreeningModel, from_json
 from thetacomp.screening.screen import Screening, fit_screening, screen
 
@@ -16,7 +15,6 @@ __all__ = [
     "ScreenedSample",
     "Screening",
     "ScreeningModel",
-    "find_held_labels",
     "fit_screening",
     "from_json",
     "screen",
