@@ -52,14 +52,14 @@ class ClockShift:
     either: bool = False
 
     def __str__(self) -> str:
-        minutes = 10 * round(abs(self.shift_s) / 600.0)
-        many = len(self.campaigns) > 1
-        which = f"one of the campaigns {' and '.join(self.campaigns)}" if self.either else ", ".join(self.campaigns)
-        where = which if self.either else f"campaign{'s' if many else ''} {which}"
-        side = "" if self.either else f" {'later' if self.shift_s > 0 else 'earlier'}"
+        minutes = 10 * round(abs(self.shift_s) / STEP_S)
+        names = f" {'or' if self.either else 'and'} ".join(self.campaigns)
+        where = f"campaign{'s' if len(self.campaigns) > 1 and not self.either else ''} {names}"
+        by = "than the errors, or earlier" if self.either else "than the errors"
+        side = "later" if self.either or self.shift_s > 0.0 else "earlier"
         return (
-            f"{where}: the temperatures seem to be stamped about {minutes} min{side or ' off'}"
-            f"{'' if self.either else ' than the errors'}: shifted so, they explain the errors much better"
+            f"{where}: the temperatures seem to be stamped about {minutes} min {side} {by}; set right by that, they explain"
+            " the errors much better"
         )
 
 
