@@ -7,7 +7,7 @@ import numpy as np
 from thetacomp.arrays import Bools, Floats, Ints
 
 FEWEST_CHANGES = 6  # fewer changes have a common divisor by chance
-NANO = 1000.0  # readings count in thousandths of their unit
+MICRO = 1e6  # readings count in millionths of their unit: 0.0625 °C is a division too
 EQUAL = 1e-9
 
 SHORTEST_S = 300.0
@@ -23,12 +23,12 @@ CATCHES_UP = 4.0
 def resolution(value: Floats) -> float:
     """Division of the instrument in the unit of the readings (n,): all changes are whole multiples of it.
 
-    0 where readings are finer than a thousandth of the unit, or change too seldom to tell. Missing ones are skipped.
+    0 where readings are finer than a millionth of the unit, or change too seldom to tell. Missing ones are skipped.
     """
-    digits = np.rint(NANO * value[np.isfinite(value)])
+    digits = np.rint(MICRO * value[np.isfinite(value)])
     changes = np.abs(np.diff(digits)).astype(np.int64)
     changes = changes[changes > 0]
-    return float(np.gcd.reduce(changes)) / NANO if len(changes) >= FEWEST_CHANGES else 0.0
+    return float(np.gcd.reduce(changes)) / MICRO if len(changes) >= FEWEST_CHANGES else 0.0
 
 
 def frozen(t_s: Floats, value: Floats) -> Bools:

@@ -14,10 +14,8 @@ from thetacomp.reading.columns import ERRORS, ROTATIONS
 from thetacomp.reading.problems import ProblemList
 from thetacomp.reading.tables import Table
 
-LOWEST_DEGC, HIGHEST_DEGC = -60.0, 250.0
 LARGEST_ERROR_UM = 20_000.0
 LARGEST_ANGLE_URAD = 20_000.0
-JUMP_K, JUMP_K_PER_S = 2.0, 1.0 / 60.0
 SHORTEST_S, LONGEST_S = 600.0, 14 * 86_400.0
 
 
@@ -66,92 +64,6 @@ def duration(table: Table, t_s: Floats, problems: ProblemList) -> None:
         (),
         header,
     )
-
-
-def temperatures(table: Table, data: Temperatures, problems: ProblemList) -> None:
-    """Range, unit, sensors that do not move, jumps between neighbours, gaps."""
-    value = data.value_degC
-    outside = (value < LOWEST_DEGC) | (value > HIGHEST_DEGC)
-    for j in np.flatnonzero(outside.any(axis=0)):
-        where = np.flatnonzero(outside[:, j])
-        kelvin = np.all(value[np.isfinite(value[:, j]), j] > HIGHEST_DEGC)
-        problems.error(
-            "temperature-range",
-            table.file,
-            f"found {value[where[0], j]:g} °C, expected {LOWEST_DEGC:g} to {HIGHEST_DEGC:g} °C"
-            + (": is the column in kelvin?" if kelvin else "."),
-            "give °C; leave the cell empty where the sensor failed (no codes such as -999 or 850).",
-            table.rows[where].tolist(),
-            table.header(data.sensor_ids[j]),
-        )
-    if outside.any() or not np.isfinite(value).any():
-        return
-    coldest = float(np.nanmin(value))
-    if coldest > 50:
-        problems.warning(
-            "temperature-unit",
-            table.file,
-            f"no temperature is below {coldest:g} °C: are they in degrees Fahrenheit?",
-            "give °C.",
-        )
-    _resting_sensors(table, data, problems)
-    _jumps(table, data, problems)
-    _gaps(table, data, problems)
-
-
-def _resting_sensors(table: Table, data: Temperatures, problems: ProblemList) -> None:
-    if len(data.t_s) < 10:
-        return
-    lowest, highest = np.nanmin(data.value_degC, axis=0), np.nanmax(data.value_degC, axis=0)
-    resting = [name for name, rests in zip(data.sensor_ids, lowest == highest, strict=True) if rests]
-    if not resting:
-        return
-    everyone = len(resting) == len(data.sensor_ids)
-    problems.warning(
-        "temperature-constant",
-        table.file,
-        "no temperature changes at all." if everyone else f"these sensors never change: {', '.join(resting)}.",
-        "check the logger and the cables; without a change of temperature nothing can be learnt.",
-        (),
-        None if everyone else table.header(resting[0]),
-    )
-
-
-def _jumps(table: Table, data: Temperatures, problems: ProblemList) -> None:
-    """A step that no mass of a machine can make: more than 2 K, and faster than 1 K a minute."""
-    for j, name in enumerate(data.sensor_ids):
-        good = np.flatnonzero(np.isfinite(data.value_degC[:, j]))
-        step, pause = np.diff(data.value_degC[good, j]), np.diff(data.t_s[good])
-        jumps = np.flatnonzero((np.abs(step) > JUMP_K) & (np.abs(step) > JUMP_K_PER_S * pause))
-        if len(jumps):
-            k = int(jumps[0])
-            problems.warning(
-                "temperature-jump",
-                table.file,
-                f"the temperature jumps by {step[k]:+.1f} K within {pause[k]:g} s"
-                f" (at {data.t_s[good[k + 1]] / 3600:.2f} h).",
-                "look at the sensor and its plug; leave the cells empty where it failed.",
-                table.rows[good[jumps + 1]].tolist(),
-                table.header(name),
-            )
-
-
-def _gaps(table: Table, data: Temperatures, problems: ProblemList) -> None:
-    pause = np.diff(data.t_s)
-    if len(pause) < 3:
-        return
-    usual = float(np.median(pause))
-    gaps = np.flatnonzero((pause > 10 * usual) & (pause > 600)) + 1
-    if len(gaps):
-        problems.warning(
-            "time-gap",
-            table.file,
-            f"{pause[gaps[0] - 1] / 60:.0f} min without a temperature (usual: {usual:g} s); the gap is bridged by a"
-            " straight line.",
-            "check the logger; leave out campaigns with long gaps during heating.",
-            table.rows[gaps].tolist(),
-            table.header("t_s"),
-        )
 
 
 def displacements(table: Table, problems: ProblemList) -> None:

@@ -58,7 +58,7 @@ class ClockShift:
         by = "than the errors, or earlier" if self.either else "than the errors"
         side = "later" if self.either or self.shift_s > 0.0 else "earlier"
         return (
-            f"{where}: the temperatures seem to be stamped about {minutes} min {side} {by}; set right by that, they explain"
+            f"{where}: the temperatures seem to be stamped about {minutes} min {side} {by}; set right, they explain"
             " the errors much better"
         )
 

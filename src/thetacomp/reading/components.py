@@ -55,7 +55,7 @@ def measured_components(campaign: Campaign) -> list[MeasuredComponent]:
 
 def lever_of(position_mm: Floats) -> Floats:
     """Positions as -1 at the low end to 1 at the high end; 0 where there is one position only."""
-    half = np.ptp(position_mm) / 2.0
+    half = np.ptp(position_mm) / 2.0 if len(position_mm) else 0.0
     if half == 0.0:
         return np.zeros(len(position_mm))
     return np.asarray((position_mm - (position_mm.max() + position_mm.min()) / 2.0) / half)
