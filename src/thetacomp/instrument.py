@@ -1,6 +1,8 @@
-"""What a column of readings shows of the instrument behind it: its resolution, and where it hung. Numpy only."""
+"""What a column of readings shows of the instrument behind it: its resolution, where it hung, where it jumped."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,6 +20,10 @@ FEWEST_ALIVE = 20
 COARSE = 3.0  # divisions: an instrument whose usual step is shorter shows its resolution, not its scatter
 TURNS_BACK = 0.25  # scatter turns back at two steps of three, motion hardly ever
 CATCHES_UP = 4.0
+
+KEPT = 3
+JUMP_SCATTER = 8.0
+LEAST_JUMP = 20.0  # µm or µrad
 
 
 def resolution(value: Floats) -> float:
@@ -109,3 +115,27 @@ def _catches_up(value: Floats, end: int, alive: Floats) -> bool:
     usual = float(np.median(steps)) if len(steps) else 0.0
     least = max(COARSE * resolution(alive), CATCHES_UP * usual, CATCHES_UP * abs(float(behind[1] - behind[0])), EQUAL)
     return abs(float(behind[0] - value[end - 1])) > least
+
+
+def step_scatter(runs: Sequence[Floats]) -> float:
+    """Robust standard deviation of the step from one reading to the next, over several runs of readings."""
+    steps = np.concatenate([np.zeros(0), *(np.diff(run[np.isfinite(run)]) for run in runs)])
+    return 1.4826 * float(np.median(np.abs(steps))) if len(steps) else 0.0
+
+
+def jump_that_stays(value: Floats, scatter: float) -> tuple[int, float] | None:
+    """Where the readings of one run (n,) jump and stay, and by how much; None where they do not.
+
+    `value` is what is left of the readings after all that runs have in common, `scatter` that of a step in the same
+    unit. Three readings on either side must agree with the jump, so a single stray reading is none.
+    """
+    known = np.flatnonzero(np.isfinite(value))
+    kept = value[known]
+    if len(kept) < 2 * KEPT:
+        return None
+    steps = np.diff(kept)[KEPT - 1 : len(kept) - KEPT]
+    i = int(np.argmax(np.abs(steps))) + KEPT
+    size = float(np.median(kept[i : i + KEPT]) - np.median(kept[i - KEPT : i]))
+    step = float(kept[i] - kept[i - 1])
+    large = min(abs(size), abs(step)) > max(JUMP_SCATTER * scatter, LEAST_JUMP)
+    return (int(known[i]), size) if large and abs(size - step) < 0.5 * abs(step) else None

@@ -177,12 +177,18 @@ def sweeps(table: Table, data: SweepPoints, problems: ProblemList) -> None:
 
 def _same_times(table: Table, data: SweepPoints, problems: ProblemList) -> None:
     still = np.flatnonzero(np.diff(data.t_s) == 0) + 1
-    twice = [i for i in still if data.axis[i] == data.axis[i - 1] and data.position_mm[i] == data.position_mm[i - 1]]
+    twice = [
+        i
+        for i in still
+        if data.axis[i] == data.axis[i - 1]
+        and data.position_mm[i] == data.position_mm[i - 1]
+        and data.direction[i] == data.direction[i - 1]  # a clock of whole minutes may see both ways at the turn
+    ]
     if twice:
         problems.error(
             "time-duplicate",
             table.file,
-            "the same time, axis and position stand twice.",
+            "the same time, axis, position and direction stand twice.",
             "keep one of the rows.",
             table.rows[twice].tolist(),
             table.header("t_s"),

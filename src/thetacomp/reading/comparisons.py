@@ -15,6 +15,7 @@ from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading.clock import check_clocks
 from thetacomp.reading.components import lever_of, measured_components
 from thetacomp.reading.problems import ProblemList
+from thetacomp.reading.sweep_jumps import check_sweep_jumps
 
 FAR_K = 15.0
 LIKE_FAHRENHEIT_K = 6.0
@@ -39,6 +40,7 @@ def compare(folder: MachineFolder, recorded: bool, problems: ProblemList) -> Non
     _sizes(folder.campaigns, recorded, problems)
     _signs(folder.campaigns, recorded, problems)
     check_clocks(folder.campaigns, recorded, problems)
+    check_sweep_jumps(folder.campaigns, recorded, problems)
 
 
 def _starts_degC(heat: Temperatures) -> dict[str, float]:
