@@ -17,7 +17,7 @@ GAP_S = 600.0
 # A logger that reports on change: hardly ever the same value twice, and no usual interval.
 FEWEST_REPORTS = 20
 REPEATED_SHARE = 0.02
-NEAR_USUAL, NEAR_SHARE = 0.25, 0.5
+NEAR_USUAL, NEAR_SHARE = 0.25, 0.8
 REPORTED_STEP = 1.5  # times the step that nine of ten reports stay below: a larger one hides what nobody logged
 
 
@@ -25,13 +25,22 @@ REPORTED_STEP = 1.5  # times the step that nine of ten reports stay below: a lar
 class Sampling:
     """Readings of one sensor at `t_s` (n,): the usual interval, `limit_s` for a pause at the ends, and where gaps are.
 
-    `is_gap` (n - 1,) marks the pauses between two readings that a line must not bridge.
+    `is_gap` (n - 1,) marks the pauses between two readings that nothing must bridge, `is_held` those in which a logger
+    that reports on change had nothing to report.
     """
 
     t_s: Floats
     interval_s: float
     limit_s: float
     is_gap: Bools
+    is_held: Bools
+
+    def between(self, value: Floats, t_s: Floats) -> Floats:
+        """Readings `value` (n,) at other times: linear; where none was reported the last one holds up to the next."""
+        held = np.flatnonzero(self.is_held)
+        until_s = self.t_s[held + 1] - self.interval_s
+        known_s, known = np.insert(self.t_s, held + 1, until_s), np.insert(value, held + 1, value[held])
+        return np.interp(t_s, known_s, known)
 
 
 def sampling_of(t_s: Floats, value: Floats) -> Sampling:
@@ -44,11 +53,13 @@ def sampling_of(t_s: Floats, value: Floats) -> Sampling:
     interval_s = float(np.median(pause_s)) if len(pause_s) else 0.0
     limit_s = max(GAP_INTERVALS * interval_s, GAP_S)
     is_gap = pause_s > limit_s
+    is_held = np.zeros(len(pause_s), dtype=bool)
     if is_gap.any() and _reports_on_change(pause_s, value):
         step = np.abs(np.diff(value))
-        is_gap &= step > REPORTED_STEP * np.quantile(step, 0.9)
+        is_held = is_gap & (step <= REPORTED_STEP * np.quantile(step, 0.9))
+        is_gap &= ~is_held
         limit_s = max(limit_s, float(pause_s[~is_gap].max(initial=0.0)))
-    return Sampling(t_s, interval_s, limit_s, is_gap)
+    return Sampling(t_s, interval_s, limit_s, is_gap, is_held)
 
 
 def _reports_on_change(pause_s: Floats, value: Floats) -> bool:

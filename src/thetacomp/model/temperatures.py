@@ -81,7 +81,7 @@ class Temperatures:
                 far = (t_s > known_s[before]) & (t_s < known_s[after]) & np.append(own.is_gap, False)[before]
                 far |= (t_s - known_s[-1] > own.limit_s) | (known_s[0] - t_s > own.limit_s)
                 value = self.value_degC[np.isfinite(self.value_degC[:, j]), j]
-                out[:, j] = np.where(far, np.nan, np.interp(t_s, known_s, value))
+                out[:, j] = np.where(far, np.nan, own.between(value, t_s))
         return out
 
     def sampling(self, column: int) -> Sampling | None:
