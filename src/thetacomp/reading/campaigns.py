@@ -126,6 +126,7 @@ def _drift(table: Table, start_micros: int, machine: Machine, problems: ProblemL
     t_s = table.t_s(start_micros)
     checks.time_order(table, t_s, problems)
     checks.displacements(table, problems)
+    checks.frozen_displacements(table, t_s, problems)
     return Drift(t_s, table.stacked(ERRORS), rotations(table), at_mm(table, machine, problems))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.campaign import SweepPoints
+from thetacomp.instrument import frozen
 from thetacomp.machine import Machine
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading.columns import ERRORS, ROTATIONS
@@ -17,6 +18,7 @@ from thetacomp.reading.tables import Table
 LARGEST_ERROR_UM = 20_000.0
 LARGEST_ANGLE_URAD = 20_000.0
 SHORTEST_S, LONGEST_S = 600.0, 14 * 86_400.0
+FEWEST_READINGS = 10
 
 
 def time_order(table: Table, t_s: Floats, problems: ProblemList, strictly: bool = True) -> None:
@@ -104,6 +106,35 @@ def displacements(table: Table, problems: ProblemList) -> None:
             (),
             table.header(empty[0]),
         )
+
+
+def frozen_displacements(table: Table, t_s: Floats, problems: ProblemList) -> None:
+    """Displacements at a fixed position that were repeated instead of measured, and columns that never change."""
+    for name in (*ERRORS, *ROTATIONS):
+        values = table.numbers.get(name)
+        if values is None or np.isfinite(values).sum() < FEWEST_READINGS:
+            continue
+        rows = np.flatnonzero(frozen(t_s, values))
+        header = table.header(name) or name
+        if np.nanmax(values) == np.nanmin(values):
+            problems.warning(
+                "error-constant",
+                table.file,
+                f"the column never changes ({values[np.isfinite(values)][0]:g}).",
+                "check the instrument and its cable; delete the column if the direction was not measured.",
+                (),
+                header,
+            )
+        elif len(rows):
+            problems.warning(
+                "error-frozen",
+                table.file,
+                f"{len(rows)} readings are repeated for longer than the instrument ever stands still (from"
+                f" {t_s[rows[0]] / 3600:.2f} h): they were not measured. An analysis leaves them out.",
+                "leave these cells empty; check the instrument and the logger.",
+                table.rows[rows].tolist(),
+                header,
+            )
 
 
 def positions(
