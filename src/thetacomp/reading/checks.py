@@ -219,7 +219,7 @@ def _same_times(table: Table, data: SweepPoints, problems: ProblemList) -> None:
         problems.error(
             "time-duplicate",
             table.file,
-            "the same time, axis, position and direction stand twice.",
+            "the same time, axis and position stand twice, approached from one side.",
             "keep one of the rows.",
             table.rows[twice].tolist(),
             table.header("t_s"),

@@ -16,6 +16,7 @@ LOWEST_DEGC, HIGHEST_DEGC = -60.0, 250.0
 JUMP_K, JUMP_K_PER_S = 2.0, 1.0 / 60.0
 SETTLED = 0.25  # of the step behind a stray first reading: what follows stays together
 FAR_K = 15.0
+FEWEST_READINGS = 15  # fewer do not show where a sensor goes on
 CODES_DEGC = (85.0, 0.0, -127.0)  # what sensors say before they convert, or when nothing is connected
 
 
@@ -27,10 +28,10 @@ def without_stray_starts(table: Table, data: Temperatures, problems: ProblemList
     """
     value = data.value_degC.copy()
     for j, name in enumerate(data.sensor_ids):
-        good = np.flatnonzero(np.isfinite(value[:, j]))[:3]
-        if len(good) < 3:
+        good = np.flatnonzero(np.isfinite(value[:, j]))
+        if len(good) < FEWEST_READINGS:
             continue
-        first, second, third = value[good, j]
+        first, second, third = value[good[:3], j]
         step = abs(second - first)
         goes_on = abs(third - second) <= SETTLED * step
         others = [k for k in range(value.shape[1]) if k != j and np.isfinite(value[good[0], k])]
@@ -175,7 +176,7 @@ def _jumps(table: Table, data: Temperatures, explained: Bools, problems: Problem
 
 def _gaps(table: Table, data: Temperatures, problems: ProblemList) -> None:
     """Pauses in which a sensor has no temperature: by its own sampling, as an analysis judges them too."""
-    if len(data.t_s) < 4:
+    if len(data.t_s) < 4 or (np.diff(data.t_s) <= 0.0).any():
         return
     told: dict[tuple[int, ...], list[int]] = {}
     for j in range(len(data.sensor_ids)):
