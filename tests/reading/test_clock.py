@@ -72,6 +72,13 @@ def test_none_is_claimed_on_a_healthy_machine_nor_for_ten_minutes(seed: int) -> 
     assert clock_shifts(late(measured(seed), 10.0)) == ()
 
 
+@pytest.mark.parametrize("seed", [6, 7, 12, 16, 19, 29])
+def test_three_sensors_beside_hidden_heat_lead_and_lag_without_a_claim(seed: int) -> None:
+    """What they explain better at another shift is no clock: without the evidence asked for, each of these is claimed."""
+    few = [c.without_sensors(SENSORS[3:]) for c in measured(seed)]
+    assert clock_shifts(few) == ()
+
+
 def test_two_campaigns_of_many_are_both_named_and_a_single_one_shows_it_too() -> None:
     two = clock_shifts(late(late(measured(3, 6), 60.0, "c1"), -50.0, "c4"))
     assert {(s.campaigns, 10 * round(s.shift_s / 600.0)) for s in two} == {(("c1",), 60), (("c4",), -50)}
