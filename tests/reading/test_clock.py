@@ -1,7 +1,8 @@
 """Clocks that disagree: the shift is put in, so campaign and size are known. Healthy machines get no claim.
 
-Measured on 37 machines that were not looked at before (24 lumped machines of another physics, twins, this generator):
-none claimed; of 30 minutes 113 of 138 shifts found with campaign, sign and size, of 60 minutes 123 of 138.
+Measured on 37 machines that were not looked at before (24 lumped ones, twins, this generator), with
+the first thresholds: none claimed. Few sensors showed that more evidence must be asked for; docs/machine_folder.md has
+the figures.
 """
 
 from __future__ import annotations
@@ -72,11 +73,14 @@ def test_none_is_claimed_on_a_healthy_machine_nor_for_ten_minutes(seed: int) -> 
     assert clock_shifts(late(measured(seed), 10.0)) == ()
 
 
-@pytest.mark.parametrize("seed", [6, 7, 12, 16, 19, 29])
-def test_three_sensors_beside_hidden_heat_lead_and_lag_without_a_claim(seed: int) -> None:
-    """What they explain better at another shift is no clock: without the evidence asked for, each of these is claimed."""
-    few = [c.without_sensors(SENSORS[3:]) for c in measured(seed)]
-    assert clock_shifts(few) == ()
+def test_few_sensors_beside_hidden_heat_lead_and_lag_without_a_claim() -> None:
+    """What they explain better at another shift is no clock: without the evidence asked for, machine 40 is claimed.
+
+    Below five sensors nothing is judged: with three, a quarter of the healthy machines look shifted by half an hour.
+    """
+    assert clock_shifts([c.without_sensors(SENSORS[5:]) for c in measured(40)]) == ()
+    four = late([c.without_sensors(SENSORS[4:]) for c in measured(3)], 60.0, "c1")
+    assert clock_shifts(four) == ()
 
 
 def test_two_campaigns_of_many_are_both_named_and_a_single_one_shows_it_too() -> None:

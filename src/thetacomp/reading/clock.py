@@ -29,6 +29,7 @@ LAG_S = 3600.0
 DIRECTIONS = 12
 GRID_S = 60.0
 FEWEST = 12
+FEWEST_SENSORS = 5  # fewer may all lead or lag the error by half an hour on a healthy machine
 MOST = 400  # rows of a component that a campaign needs at most: a shift of minutes shows in fewer
 KEPT_FROM_END_S = 3600.0  # errors near the end of the log have no temperatures to be shifted to
 RIDGE = 1e-4
@@ -90,11 +91,11 @@ class _Moments:
 def clock_shifts(campaigns: Sequence[Campaign]) -> tuple[ClockShift, ...]:
     """Shifts between temperatures and errors that the measurements give away; none where they do not say.
 
-    Needs drift or sweeps at twelve moments a campaign, and errors that temperatures explain.
+    Needs five sensors, drift or sweeps at twelve moments a campaign, and errors that temperatures explain.
     """
     judged = [c for c in campaigns if c.drift is not None or c.sweeps is not None]
     sensors = [s for s in judged[0].temperatures.sensor_ids if _everywhere(judged, s)] if judged else []
-    laws = [_moments(judged, sensors, lags) for lags in ((), (LAG_S,))] if sensors else []
+    laws = [_moments(judged, sensors, lags) for lags in ((), (LAG_S,))] if len(sensors) >= FEWEST_SENSORS else []
     if not laws or not all(laws):
         return ()
     at = np.full(len(judged), NONE)
