@@ -7,13 +7,14 @@ MARKS ?= not slow
 # The numeric libraries must not each start as many threads as there are cores: two test processes share them.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: help demo test test-all lint bench docs lock clean
+.PHONY: help demo test test-all lint bench bench-carry docs lock clean
 
 help:
 	@echo "make demo      environment, installation, the whole job on the bundled data; says which files to open"
 	@echo "make test      linter, formatter, types, import rules, tests"
 	@echo "make test-all  the same with the slow tests"
 	@echo "make bench     start-up and whole-job times, side by side with a yardstick"
+	@echo "make bench-carry  the default model on many machines against simple baselines (see docs/carrying_over.md)"
 	@echo "make docs      the documents as HTML in docs/_build/html"
 	@echo "make lock      resolve the locked dependencies anew (needs uv)"
 	@echo "make clean     remove the environment and everything generated"
@@ -37,6 +38,9 @@ lint: $(VENV)/.dev $(VENV)/.package
 
 bench: $(VENV)/.package
 	@$(BIN)/python bench/run.py
+
+bench-carry: $(VENV)/.package
+	@$(ONE_THREAD) $(BIN)/python bench/carry.py --jobs 2 --page docs/carrying_over.md
 
 docs: $(VENV)/.dev
 	$(BIN)/sphinx-build -W -q docs docs/_build/html

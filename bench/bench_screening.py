@@ -190,7 +190,7 @@ def history_model(records: Sequence[Record], without: int | None) -> Fitted:
         x.append(rise_since(inputs, inputs[0])[::4])
         y.append(rises(record.displacement_um)[::4])
         campaign.append(np.full(len(y[-1]), number))
-    fitted = HistoryRidge(layout.blocks, history_candidates(layout))
+    fitted = HistoryRidge(layout.blocks, history_candidates(layout, 3))
     return History(layout, fitted.fit(np.vstack(x), np.vstack(y), np.concatenate(campaign)))
 
 

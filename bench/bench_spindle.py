@@ -51,7 +51,7 @@ def history_model(spindle: Spindle) -> tuple[np.ndarray, HistoryRidge]:
         sensors=tuple(f"t{k}" for k in range(1, 17)), base_degC=float(spindle.temperature_degC[0].mean())
     )
     inputs = history_inputs(layout, spindle.t_s, spindle.temperature_degC, spindle.speed_rpm)
-    return rise_since(inputs, inputs[0]), HistoryRidge(layout.blocks, history_candidates(layout))
+    return rise_since(inputs, inputs[0]), HistoryRidge(layout.blocks, history_candidates(layout, 3))
 
 
 def plain_ridge(spindle: Spindle) -> tuple[np.ndarray, HistoryRidge]:

@@ -215,7 +215,7 @@ class Verification:
     def __repr__(self) -> str:
         r = self.result
         lines = [
-            f"Verification of {r.machine.name}: {'GO' if r.go else 'NO-GO'},"
+            f"Verification of {r.machine.name}: {r.verdict},"
             f" off {', '.join(r.off.campaigns)}, on {', '.join(r.on.campaigns)}"
         ]
         lines += [f"cause: {cause.text}" for cause in r.causes]

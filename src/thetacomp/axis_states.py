@@ -53,8 +53,8 @@ class AxisStates:
     campaign; `cold_*` (n, c) is what was subtracted. `rise_K` (n, p) counts from `reference_degC` (n, p). Missing
     values are NaN. `exact_zero` says that S = I = 0 holds exactly at the reference, as in separated sweeps; in drift
     and in parameters from elsewhere the cold state is a measurement like any other, and with a common datum there is no
-    zero of the campaign's own. `history` (n, k) holds lagged temperatures and speeds as differences from the reference,
-    whose own values are `reference_history` (n, k); `layout` describes them (None, and no columns, where no sensor was
+    zero of the campaign's own. `history` (n, k) holds the inputs of the law since the reference, whose own running
+    inputs are `reference_history` (n, running); `layout` describes them (None, and no columns, where no sensor was
     read in all campaigns). `trajectory` is what the machine went through between the states.
     """
 
@@ -267,7 +267,7 @@ def _campaign_states(
         history=track.at(t_s),
         reference_history=np.tile(track.reference, (n, 1)),
         layout=layout,
-        trajectory=measured_trajectory(track, layout, index, t_s),
+        trajectory=measured_trajectory(track, index, t_s),
         samples=tuple(_samples(campaign, sensors, s, states, reference, p0_mm, track) for s in own),
     )
 
@@ -314,7 +314,7 @@ def _track(
     """History of a campaign; with a common datum it counts from the zero of the first campaign."""
     if layout is None:
         t_s = campaign.temperatures.t_s
-        return HistoryTrack(t_s, np.zeros((len(t_s), 0)), np.zeros(0))
+        return HistoryTrack(None, t_s, np.zeros((len(t_s), 0)), np.zeros(0))
     track = history_track(campaign, layout, zero_t_s)
     return track if zero_history is None else replace(track, reference=zero_history)
 

@@ -14,6 +14,7 @@ from thetacomp.axis_states import AxisStates
 # Above this many states in a single campaign neighbours are nearly copies: only whole blocks are new to a model.
 MAX_SINGLE_STATES = 24
 BLOCKS = 5
+NAMED_TEST = "test"
 
 SplitKind = Literal["campaign", "state", "block"]
 
@@ -76,7 +77,7 @@ def named_test(states: AxisStates, tests: Sequence[str]) -> tuple[Fold, ...]:
 
 def main_split(states: AxisStates, tests: Sequence[str]) -> tuple[str, tuple[Fold, ...]]:
     """The split that a model is judged by: the campaigns of `tests` (`test`), or `hold_out` where none is named."""
-    return ("test", named_test(states, tests)) if tests else hold_out(states)
+    return (NAMED_TEST, named_test(states, tests)) if tests else hold_out(states)
 
 
 def training_states(states: AxisStates, fold: Fold) -> AxisStates:

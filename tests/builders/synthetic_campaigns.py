@@ -163,5 +163,5 @@ def inputs_of(recording: Recording, layout: InputLayout = LAYOUT) -> Floats:
     for label in np.unique(recording.campaign):
         rows = recording.campaign == label
         part = history_inputs(layout, recording.t_s[rows], recording.temperature_degC[rows][:, columns])
-        parts.append(part - part[0])
+        parts.append(layout.since(part, part[0]))
     return np.vstack(parts)

@@ -139,7 +139,7 @@ def test_acceptance_judges_the_default_model() -> None:
     def residuals(model: str, left: float) -> Residuals:
         campaign = np.repeat([0, 1], n // 2)
         nan = np.full(n, np.nan)
-        return Residuals("EXY", model, "campaign", np.arange(n), campaign, value, left * value, nan, left * value)
+        return Residuals("EXY", model, "campaign", np.arange(n), campaign, nan, value, left * value, nan, left * value)
 
     def first(default: float, other: float) -> bool:
         parts = [residuals("nothing", 1.0), residuals("default", default), residuals("all_sensors", other)]

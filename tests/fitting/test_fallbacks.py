@@ -21,6 +21,7 @@ from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.model.check import problems
 from thetacomp.model.document import AxisLaw, ModelDocument, Training
 from thetacomp.model.fallback import degraded, start_transfer, without_sensor
+from thetacomp.model.filters import InputLayout, history_inputs
 from thetacomp.model.law import Law, component_laws
 from thetacomp.model.load import load_model
 from thetacomp.model.temperatures import Temperatures
@@ -233,7 +234,7 @@ def drift_folder(recording: Recording) -> MachineFolder:
 def with_history_fallbacks(folder: MachineFolder) -> AxisLaw:
     separations, names = separate_folder(folder), [campaign.name for campaign in folder.campaigns]
     (states,) = axis_states(folder, separations, names)
-    return with_fallbacks(folder, separations, names, states, calibrated_history(states))
+    return with_fallbacks(states, calibrated_history(states))
 
 
 def test_a_sensor_is_lost_in_the_middle_of_a_shift() -> None:
@@ -243,7 +244,7 @@ def test_a_sensor_is_lost_in_the_middle_of_a_shift() -> None:
     rest = LAYOUT.model_copy(update={"sensors": SENSORS[1:]})
     predicted = []
     for layout in (LAYOUT, rest):
-        model = HistoryRidge(layout.blocks, history_candidates(layout))
+        model = HistoryRidge(layout.blocks, history_candidates(layout, 3))
         model.fit(inputs_of(known, layout), known.displacement_um, known.campaign)
         predicted.append(model.predict(inputs_of(shift, layout)))
     full, fallback = predicted
@@ -264,6 +265,24 @@ def test_states_without_a_sensor_keep_everything_else() -> None:
     assert rest.sensors == ("nut", "bed")
     np.testing.assert_array_equal(rest.rise_K, states.rise_K[:, [0, 2]])
     np.testing.assert_array_equal(rest.samples[1].rise_K, states.samples[1].rise_K[:, [0, 2]])
-    # heat history mixes all sensors: nothing of it may stay
-    assert rest.layout is None
-    assert rest.history.shape[1] == rest.samples[1].history.shape[1] == 0
+    # heat history is what a machine would have recorded that never had the sensor
+    layout = states.layout.without("bearing")
+    names = [name for block in states.layout.blocks.values() for name in block]
+    left = [name for block in layout.blocks.values() for name in block]
+    own = [j for j, name in enumerate(left) if " x " not in name]
+    np.testing.assert_allclose(rest.history[:, own], states.history[:, [names.index(left[j]) for j in own]])
+    assert rest.layout == layout
+    assert rest.samples[1].history.shape[1] == rest.history.shape[1] == len(left)
+    assert rest.trajectory.inputs.shape[1] == len(left) + 2
+    only = states_without(rest, "nut")
+    assert states_without(only, "bed").layout is None
+
+
+@pytest.mark.parametrize("products", [(), ("median", "level")])
+def test_running_inputs_without_a_sensor_are_those_of_a_recording_without_it(products) -> None:
+    rng = np.random.default_rng(3)
+    layout = InputLayout(sensors=("a", "b", "c"), base_degC=21.0, products=products)
+    t_s, degC, rpm = np.arange(0.0, 36000.0, 600.0), rng.uniform(20.0, 30.0, (60, 3)), rng.uniform(0.0, 4000.0, 60)
+    expected = history_inputs(layout.without("b"), t_s, degC[:, [0, 2]], rpm)
+    found = layout.running_without("b", history_inputs(layout, t_s, degC, rpm))
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-9)

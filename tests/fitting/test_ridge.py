@@ -11,14 +11,15 @@ from sklearn.linear_model import Ridge
 
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.ridge import (
+    OUTLYING_CAMPAIGNS,
+    WHOLE_CAMPAIGNS,
     BlockUse,
-    CampaignMoments,
     HistoryRidge,
+    Stretches,
     history_candidates,
-    ridge_path,
     rise_since,
 )
-from thetacomp.model.filters import InputLayout, history_inputs
+from thetacomp.model.filters import LEVEL_CAMPAIGNS, InputLayout, history_inputs
 
 LAYOUT = InputLayout(sensors=("theta_1", "theta_2", "theta_3"), base_degC=20.0)
 
@@ -42,47 +43,125 @@ def machine(seed=0):
 
 
 def procedure():
-    return HistoryRidge(LAYOUT.blocks, history_candidates(LAYOUT))
+    return HistoryRidge(LAYOUT.blocks, history_candidates(LAYOUT, 3))
 
 
-def test_path_equals_scikit_learns_ridge():
-    rng = np.random.default_rng(4)
-    x, y, groups = rng.normal(size=(90, 5)), rng.normal(size=(90, 2)), np.repeat([0, 1, 2], 30)
-    width = np.array([1.0, 0.3, 2.0, 0.5, 1.0])
-    moments = CampaignMoments.of(x, y, groups)
-    strengths = np.array([1e-3, 0.1, 10.0])
-    path = ridge_path(moments, [0, 2], np.arange(5), width, strengths)
-    rows = groups != 1
-    for a, strength in enumerate(strengths):
-        reference = Ridge(alpha=strength * rows.sum(), fit_intercept=False).fit(x[rows] * width, y[rows])
-        np.testing.assert_allclose(path[:, :, a], (reference.coef_ * width).T, rtol=1e-9)
-    direct = ((y[groups == 1][:, :, None] - np.einsum("nk,kma->nma", x[groups == 1], path)) ** 2).sum(axis=0)
-    np.testing.assert_allclose(moments.square_error(1, np.arange(5), path), direct, rtol=1e-9)
-    np.testing.assert_allclose(moments.spread([0, 2]), x[rows].std(axis=0), rtol=1e-9)
+def errors_by_refitting(x, y, together, strength):
+    """Errors on what is left out together, by scikit-learn's ridge fitted anew, inputs in their standard deviations."""
+    sd, error = x.std(axis=0), np.empty_like(y)
+    for label in np.unique(together):
+        rows = together != label
+        ridge = Ridge(alpha=strength * len(x), fit_intercept=False).fit(x[rows] / sd, y[rows])
+        error[~rows] = ridge.predict(x[~rows] / sd) - y[~rows]
+    return error
 
 
-def test_one_candidate_takes_the_strength_that_brute_force_takes():
+@pytest.mark.parametrize("columns", [4, 30])
+def test_strengths_are_chosen_on_campaigns_left_out_as_refitting_would(columns):
+    """With more columns than rows left, too: the decomposition then is that of the kernel."""
     rng = np.random.default_rng(5)
-    x, groups = rng.normal(size=(60, 4)), np.repeat([0, 1, 2], 20)
-    y = x @ [1.0, -1.0, 0.5, 0.0] + rng.normal(size=60)
+    groups = np.repeat(np.arange(WHOLE_CAMPAIGNS), 5)
+    x = rng.normal(size=(len(groups), columns))
+    y = x[:, :4] @ [1.0, -1.0, 0.5, 0.0] + rng.normal(size=len(x))
     strengths = (1e-3, 1e-1, 1.0, 100.0)
-    model = HistoryRidge({"a": ("p", "q", "r", "s")}, ((BlockUse("a", 1.0, "each"),),), strengths).fit(x, y, groups)
+    blocks, candidate = {"a": tuple(f"x{k}" for k in range(columns))}, (BlockUse("a", 1.0, "each"),)
+    model = HistoryRidge(blocks, (candidate,), strengths).fit(x, y, groups)
 
-    def squares(strength):
-        total = 0.0
-        for held_out in range(3):
-            rows = groups != held_out
-            sd = x[rows].std(axis=0)
-            ridge = Ridge(alpha=strength * rows.sum(), fit_intercept=False).fit(x[rows] / sd, y[rows])
-            total += ((ridge.predict(x[~rows] / sd) - y[~rows]) ** 2).sum()
-        return total
+    def mean_square(strength):
+        return np.mean(errors_by_refitting(x, y, groups, strength) ** 2)
 
-    best = min(strengths, key=squares)
+    best = min(strengths, key=mean_square)
     assert model.strengths_ == best
-    assert model.held_out_rmse_um_[0, 0] == pytest.approx(np.sqrt(squares(best) / 60))
+    assert model.held_out_rmse_um_[0, 0] == pytest.approx(np.sqrt(mean_square(best)), rel=1e-6)
     sd = x.std(axis=0)
-    expected = Ridge(alpha=best * 60, fit_intercept=False).fit(x / sd, y).coef_ / sd
-    np.testing.assert_allclose(model.coef_, expected, rtol=1e-9)
+    expected = Ridge(alpha=best * len(x), fit_intercept=False).fit(x / sd, y).coef_ / sd
+    np.testing.assert_allclose(model.coef_, expected, rtol=1e-7)
+    rest = groups != 1
+    without = Ridge(alpha=best * len(x), fit_intercept=False).fit(x[rest] / sd, y[rest]).coef_ / sd
+    np.testing.assert_allclose(model.left_out_coef_[1], without, rtol=1e-5, atol=1e-9)
+
+
+def test_of_few_campaigns_halves_are_left_out():
+    rng = np.random.default_rng(7)
+    groups = np.repeat(np.arange(WHOLE_CAMPAIGNS - 1), 10)
+    x = rng.normal(size=(len(groups), 3))
+    y = x @ [1.0, -1.0, 0.5] + rng.normal(size=len(x))
+    model = HistoryRidge({"a": ("p", "q", "r")}, ((BlockUse("a", 1.0, "each"),),), (0.1,)).fit(x, y, groups)
+    halves = 2 * groups + (np.arange(len(groups)) % 10 >= 5)
+    expected = np.sqrt(np.mean(errors_by_refitting(x, y, halves, 0.1) ** 2))
+    assert model.held_out_rmse_um_[0, 0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_rows_are_means_over_stretches_and_every_campaign_has_the_same_number():
+    x = np.arange(1000.0)[:, None]
+    groups = np.repeat([0, 1], [900, 100])
+    rows = Stretches.of(x, 2.0 * x, groups)
+    assert np.bincount(rows.campaign).tolist() == [80, 80]
+    np.testing.assert_allclose(rows.y, 2.0 * rows.x)
+    assert rows.x[0, 0] == np.arange(12).mean()
+    sparse = Stretches.of(x[:5], x[:5], np.array([0, 0, 0, 1, 1]))
+    np.testing.assert_array_equal(sparse.x, x[:5])
+
+
+def test_an_outlying_campaign_counts_less_where_campaigns_are_many():
+    rng = np.random.default_rng(8)
+    groups = np.repeat(np.arange(12), 10)
+    x = rng.normal(size=(len(groups), 2))
+    truth = np.array([3.0, -2.0])
+    y = x @ truth + 0.1 * rng.normal(size=len(x))
+    y[groups == 4] = x[groups == 4] @ [-10.0, 10.0]
+    one = {"a": ("p", "q")}, ((BlockUse("a", 1.0, "each"),),), (1e-6,)
+    model = HistoryRidge(*one).fit(x, y, groups)
+    assert model.group_weights_[4] < 0.05
+    assert np.delete(model.group_weights_, 4).min() > 0.5
+    np.testing.assert_allclose(model.coef_, truth, atol=0.1)
+    few = groups < OUTLYING_CAMPAIGNS - 1
+    assert (HistoryRidge(*one).fit(x[few], y[few], groups[few]).group_weights_ == 1.0).all()
+
+
+def test_the_level_is_offered_to_many_campaigns_only():
+    layout = LAYOUT.model_copy(update={"products": ("median", "level")})
+
+    def blocks(campaigns):
+        return {use.block for candidate in history_candidates(layout, campaigns) for use in candidate}
+
+    assert "rise x level" in blocks(LEVEL_CAMPAIGNS)
+    assert "rise x level" not in blocks(LEVEL_CAMPAIGNS - 1)
+    assert "rise x median" in blocks(2)
+
+
+def test_a_machine_that_answers_by_its_level_is_learnt():
+    """`error = rise × (2 + level / 5 K)`: without the level no linear law in rises can follow it."""
+    rng = np.random.default_rng(9)
+    groups = np.repeat(np.arange(14), 20)
+    start_degC = rng.uniform(15.0, 30.0, 14)[groups]
+    rise_K = rng.uniform(0.0, 10.0, len(groups)) * (np.arange(len(groups)) % 20 > 0)
+    y = rise_K * (2.0 + (start_degC - 20.0) / 5.0)
+    held_out = {}
+    for products in ((), ("level",)):
+        layout = InputLayout(
+            sensors=("t",), time_constants_s=(900.0,), speed_powers=(), base_degC=20.0, products=products
+        )
+        x = np.zeros((len(groups), sum(map(len, layout.blocks.values()))))
+        for label in np.unique(groups):
+            own = groups == label
+            degC = (start_degC + rise_K)[own]
+            running = np.column_stack([degC, np.zeros(len(degC))])
+            x[own] = layout.since(running, running[0])
+        model = HistoryRidge(layout.blocks, history_candidates(layout, 14)).fit(x, y, groups)
+        held_out[products] = model.held_out_rmse_um_.min()
+    assert held_out[("level",)] < 0.05 * held_out[()]
+
+
+def test_a_fit_like_another_takes_its_strengths_and_weights():
+    x, y_um, campaign = machine()
+    full = procedure().fit(x, y_um, campaign)
+    again = procedure().fit(x, y_um, campaign, like=full)
+    np.testing.assert_allclose(again.coef_, full.coef_, rtol=1e-12)
+    np.testing.assert_allclose(again.left_out_coef_, full.left_out_coef_, rtol=1e-12)
+    other = procedure().fit(x, 2.0 * y_um[:, ::-1], campaign, like=full)
+    np.testing.assert_array_equal(other.strengths_, full.strengths_)
+    np.testing.assert_allclose(other.weights_, full.weights_)
 
 
 def test_a_common_scale_is_the_root_mean_square_of_the_inputs_scales():
@@ -95,20 +174,6 @@ def test_a_common_scale_is_the_root_mean_square_of_the_inputs_scales():
     scale = np.sqrt(np.mean(x.var(axis=0))) / 2.0
     expected = Ridge(alpha=0.1 * 60, fit_intercept=False).fit(x / scale, y).coef_ / scale
     np.testing.assert_allclose(model.coef_, expected, rtol=1e-9)
-
-
-def test_campaign_held_out_inside_is_not_seen():
-    x, y_um, campaign = machine()
-    poisoned_x, poisoned_y = x.copy(), y_um.copy()
-    poisoned_x[campaign == 2] = 1e6
-    poisoned_y[campaign == 2] = -1e6
-    clean, poisoned = (CampaignMoments.of(*data, campaign) for data in ((x, y_um), (poisoned_x, poisoned_y)))
-    rest, columns, strengths = [0, 1, 3, 4], np.arange(30), np.array([0.1])
-    np.testing.assert_array_equal(clean.spread(rest), poisoned.spread(rest))
-    width = 1.0 / clean.spread(rest)[columns]
-    np.testing.assert_array_equal(
-        ridge_path(clean, rest, columns, width, strengths), ridge_path(poisoned, rest, columns, width, strengths)
-    )
 
 
 def test_learns_a_body_without_sensor_and_forgets_no_target():
@@ -133,20 +198,20 @@ def test_learns_a_body_without_sensor_and_forgets_no_target():
 def test_a_useless_candidate_gets_next_to_no_weight():
     x, y_um, campaign = machine()
     good = (BlockUse("temperature", 1.0, "each"),)
-    useless = (BlockUse("speed^1 480 s", 1.0, "each"),)
+    useless = (BlockUse("speed^1 900 s", 1.0, "each"),)
     model = HistoryRidge(LAYOUT.blocks, (good, useless)).fit(x, y_um[:, 1], campaign)
     assert model.weights_[0, 1] < 0.01
     assert model.weights_.sum() == pytest.approx(1.0)
 
 
 def test_candidates_are_the_fixed_list():
-    candidates = history_candidates(LAYOUT)
-    assert len(candidates) == len(set(candidates)) == 144
+    candidates = history_candidates(LAYOUT, 3)
+    assert len(candidates) == len(set(candidates)) == 52
     assert {use.block for candidate in candidates for use in candidate} == set(LAYOUT.blocks)
     without_speed = InputLayout(sensors=("a",), speed_powers=(), base_degC=20.0)
-    assert len(set(history_candidates(without_speed))) == 8
+    assert len(set(history_candidates(without_speed, 3))) == 4
     single = InputLayout(sensors=("a",), speed_powers=(2,), time_constants_s=(600.0,), base_degC=20.0)
-    assert len(set(history_candidates(single))) == 16
+    assert len(set(history_candidates(single, 3))) == 20
 
 
 def test_a_constant_input_gets_no_coefficient_and_missing_rows_are_left_out():
@@ -166,7 +231,7 @@ def test_parameters_are_json_and_predict_the_same():
     x, y_um, campaign = machine()
     model = clone(procedure()).fit(x, y_um, campaign)
     stored = json.loads(json.dumps(model.parameters()))
-    assert stored["inputs"][3] == "theta_1 - lag 480 s"
+    assert stored["inputs"][3] == "theta_1 - lag 900 s"
     np.testing.assert_allclose(x @ np.array(stored["coefficients"]).T, model.predict(x))
 
 
@@ -174,7 +239,7 @@ def test_too_few_campaigns_and_wrong_shapes_are_said():
     x, y_um, campaign = machine()
     with pytest.raises(AnalysisError, match="at least 2 training campaigns"):
         procedure().fit(x, y_um, np.zeros(len(x)))
-    with pytest.raises(AnalysisError, match=r"inputs of 52 columns"):
+    with pytest.raises(AnalysisError, match=r"inputs of 24 columns"):
         procedure().fit(x[:, :5], y_um, campaign)
 
 

@@ -147,7 +147,7 @@ COMPONENT = (*LAW, "components", "EYY")
         ((*LAW, "p_max_mm"), 0.0, "control.Y: the measured travel from 0 to 0 mm has no length"),
         ((*LAW, "p0_mm"), 1e9, "control.Y: a position beyond 1 km"),
         ((*LAW, "reference", "inputs"), [451.0], "control.Y: reference: 451 °C is no temperature of a machine"),
-        ((*LAW, "reference", "inputs"), [20.0, 20.0], "the layout has 1 inputs, the reference has 2"),
+        ((*LAW, "reference", "inputs"), [20.0, 20.0], "the layout has 1 running inputs, the reference has 2"),
         ((*LAW, "leverage", "moments"), [-2.0], "control.Y: leverage: a variance below zero"),
         ((*LAW, "leverage", "directions"), [], "control.Y: leverage: 1 moments for 0 directions"),
         ((*LAW, "border", "temperature_degC"), {"a": [30.0, 20.0]}, "border.temperature_degC: a from 30 to 20"),

@@ -377,13 +377,26 @@ def test_reversal_is_positive_minus_negative_approach() -> None:
     assert s.reversal_um == pytest.approx(7.0, abs=0.3)
 
 
-@pytest.mark.parametrize(("stated_um", "scatter_um", "told"), [(2.0, 1.5, False), (2.0, 2.6, True), (None, 9.0, False)])
+@pytest.mark.parametrize(
+    ("stated_um", "per_m", "scatter_um", "told"),
+    [
+        (2.0, 0.0, 1.5, False),
+        (2.0, 0.0, 2.6, True),
+        (2.0, 1.0, 2.6, False),
+        (2.0, 1.0, 3.6, True),
+        (None, 1.0, 9.0, False),
+    ],
+)
 def test_scatter_beyond_the_expanded_uncertainty_is_told(
-    stated_um: float | None, scatter_um: float, told: bool
+    stated_um: float | None, per_m: float, scatter_um: float, told: bool
 ) -> None:
+    """The points lie along 1 m, so `per_m` is what the far end adds to the stated uncertainty."""
     error = noisy(1e-6).error_um + scatter_um * np.where(np.arange(44) % 2, 1.0, -1.0) * 0.95
-    notes = separate_campaign(MACHINE, swept(error, instrument_u_um=stated_um))[0].notes
-    assert any("points scatter by" in note for note in notes) == told
+    notes = separate_campaign(MACHINE, swept(error, instrument_u_um=stated_um, instrument_u_um_per_m=per_m))[0].notes
+    scatter = [note for note in notes if "points scatter by" in note]
+    assert bool(scatter) == told
+    if told and stated_um is not None:
+        assert f"uncertainty of {stated_um + per_m:g} µm (expanded, at the far end of the travel) allows" in scatter[0]
 
 
 def test_an_unstated_angle_error_is_told_unless_the_sweeps_are_tied() -> None:

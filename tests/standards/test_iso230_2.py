@@ -279,3 +279,6 @@ def test_uncertainty_of_a_difference_is_that_of_two_readings() -> None:
     assert tracker.difference_u_um() == pytest.approx(15.0 * math.sqrt(2.0))
     assert tracker.difference_u_um(2000.0) == pytest.approx(math.hypot(15.0, 27.0))
     assert Instrument().difference_u_um(2000.0) is None
+    assert (tracker.reading_u_um(), tracker.reading_u_um(2000.0)) == (15.0, 27.0)
+    assert Instrument("tracker", 15.0).reading_u_um(2000.0) == 15.0
+    assert Instrument(u_um_per_m=6.0).reading_u_um(2000.0) is None

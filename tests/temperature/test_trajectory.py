@@ -82,7 +82,7 @@ def every_minute(document: AxisLaw, one: Campaign) -> tuple[Floats, Floats]:
     own = (track.t_s >= 3420.0) & (track.t_s <= 60.0 * (MINUTES - 4))
     absolute = track.inputs[own]
     assert one.duty is not None
-    inputs = np.hstack([absolute - track.reference, absolute[:, : len(document.layout.sensors)]])
+    inputs = np.hstack([track.since(absolute), absolute[:, : len(document.layout.sensors)]])
     return inputs, one.duty.columns["spindle_rpm"][own]
 
 
@@ -120,9 +120,9 @@ def test_the_leverage_counts_from_the_fitted_moments_and_the_range_from_all(
     np.testing.assert_allclose(document.border.distance.leverage.centre, sweeps.mean(axis=0), atol=1e-9)
     low, high = states.trajectory.inputs.min(axis=0), states.trajectory.inputs.max(axis=0)
     np.testing.assert_allclose(document.border.distance.middle, (low + high) / 2)
-    # the lag of 480 s of the speed has decayed by the time of the sweeps, 16 minutes after the stop
-    fast = [name for block in document.layout.blocks.values() for name in block].index("speed^1 lag 480 s")
-    assert high[fast] > 4.0 * sweeps[:, fast].max()
+    # the lag of 900 s of the speed has decayed to exp(-960 / 900) by the sweeps, 16 minutes after the stop
+    fast = [name for block in document.layout.blocks.values() for name in block].index("speed^1 lag 900 s")
+    assert high[fast] > 0.9 * np.exp(960 / 900) * sweeps[:, fast].max()
 
 
 def test_trajectory_has_every_state_and_no_long_step(states: AxisStates) -> None:
@@ -142,7 +142,7 @@ def test_where_every_moment_is_measured_nothing_is_added_and_nothing_changes() -
     dense = states_of(1, 2)
     minutes_s = np.arange(0.0, 3600.0, 15.0)
     track = history_track(campaign(1), dense.layout, np.array([3400.0]))  # type: ignore[arg-type]
-    one = measured_trajectory(track, dense.layout, 0, rng.permutation(minutes_s))
+    one = measured_trajectory(track, 0, rng.permutation(minutes_s))
     np.testing.assert_array_equal(one.t_s, minutes_s)
 
 

@@ -19,7 +19,7 @@ STATE = np.array([0, 0, 2, 2, 3, 3])
 def residuals(component: str, model: str, scale: float) -> Residuals:
     nothing = np.zeros(len(STATE))
     return Residuals(
-        component, model, "campaign", STATE, STATES.campaign[STATE],
+        component, model, "campaign", STATE, STATES.campaign[STATE], position_mm=nothing,
         before_um=scale * np.array([1.0, -5.0, 3.0, 2.0, -7.0, 6.0]),
         after_um=scale * np.array([-0.5, 0.25, 1.0, -2.0, 0.0, 0.125]),
         half_width_um=nothing, in_sample_um=nothing,

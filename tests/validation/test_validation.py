@@ -160,6 +160,15 @@ def test_train_and_test_choose_campaigns() -> None:
         analyze_folder(_folder(1), test=["c0"])
 
 
+@pytest.mark.parametrize("tested", [1, 2])
+def test_one_campaign_that_is_named_for_the_test_is_enough(tested: int) -> None:
+    """The law of others foretells it: what one campaign of training and test alike could not prove."""
+    analysis = analyze_folder(_folder(4), train=["c0", "c1"], test=["c2", "c3"][:tested])
+    (check,) = [c for c in analysis.acceptance if "campaigns" in c.name]
+    assert (check.name, check.statistic, check.threshold) == ("axis Y: campaigns for the test", tested, 1.0)
+    assert fit_for_use(analysis.acceptance)
+
+
 def test_modes_and_compensated_campaigns_are_not_mixed_unasked() -> None:
     cold, cooled = _campaign("off", 0, mode="no cooling"), _campaign("on", 1, mode="cooling")
     with pytest.raises(AnalysisError, match=r"different operating modes \(off: 'no cooling', on: 'cooling'"):

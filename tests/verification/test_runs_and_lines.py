@@ -14,6 +14,7 @@ from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.model.temperatures import Temperatures
+from thetacomp.verification.expected_error import Expected
 from thetacomp.verification.runs import chosen, facts, run_points, zero_scatter
 from thetacomp.verification.straightness import END_POINTS, LEAST_SQUARES, squareness, straightness
 
@@ -209,7 +210,7 @@ def table(exact_zero: bool = True) -> Any:
 
 
 def test_points_of_a_run_are_those_of_its_heated_states_in_order() -> None:
-    expected = (np.arange(7.0), -np.arange(7.0))
+    expected = Expected(np.arange(7.0), -np.arange(7.0), left_um=2.5, campaigns=3)
     found = run_points(table(), 0, ["a", "b"], expected)
     assert found is not None
     assert found.value_um.tolist() == [20.0, 30.0, 50.0]
@@ -218,6 +219,7 @@ def test_points_of_a_run_are_those_of_its_heated_states_in_order() -> None:
     assert found.noise_sd_um == pytest.approx(np.sqrt((1.0 + 1.0 + 16.0) / 3.0))
     assert (found.intercept_um.tolist(), found.slope_um_per_m.tolist()) == ([2.0, 3.0, 5.0], [-2.0, -3.0, -5.0])
     np.testing.assert_allclose(found.expected_um, found.intercept_um + found.slope_um_per_m * found.lever_m)
+    assert (found.left_um, found.law_campaigns) == (2.5, 3)
     # Where the zero is a measurement like any other, cold states are states.
     whole = run_points(table(exact_zero=False), 0, ["a", "b"], expected)
     assert whole is not None
@@ -228,16 +230,16 @@ def test_points_of_a_run_are_those_of_its_heated_states_in_order() -> None:
 def test_points_without_an_expected_error_are_left_out_unless_none_has_one() -> None:
     intercept, slope = np.arange(7.0), np.arange(7.0)
     intercept[2], slope[3] = np.nan, np.nan
-    found = run_points(table(), 0, ["a", "b", "c"], (intercept, slope))
+    found = run_points(table(), 0, ["a", "b", "c"], Expected(intercept, slope))
     assert found is not None
     assert found.value_um.tolist() == [50.0, 0.0, 60.0]
     assert found.explained
     nothing = np.full(7, np.nan)
-    whole = run_points(table(), 0, ["a", "b", "c"], (nothing, nothing))
+    whole = run_points(table(), 0, ["a", "b", "c"], Expected(nothing, nothing))
     assert whole is not None
     assert whole.value_um.tolist() == [20.0, 30.0, 50.0, 0.0, 60.0]
     assert not whole.explained
-    zero = run_points(table(), 0, ["a"], (np.zeros(7), np.zeros(7)))
+    zero = run_points(table(), 0, ["a"], Expected(np.zeros(7), np.zeros(7)))
     assert zero is not None
     assert not zero.explained
 

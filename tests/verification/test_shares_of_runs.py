@@ -226,6 +226,8 @@ def test_a_share_is_the_difference_of_the_gains_with_the_sizes_of_its_parts() ->
     assert found[ALL].expected_rms_um == pytest.approx(np.sqrt(np.mean(warm(6).expected_um ** 2)))
     # Intercept and slope free leave nothing, though one share for both would.
     assert found[ALL].unexplained_um == pytest.approx(0.0, abs=1e-9)
+    # F of 4 and 4 degrees of freedom (six states less two gains) at 99 %: 15.98 in any table.
+    assert found[ALL].chance == pytest.approx(np.sqrt(15.977), rel=1e-3)
     assert all(s.material for s in found.values())
 
 

@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from thetacomp.machine import Axis, Machine, Sensor
-from thetacomp.verification.diagnosis import causes, checks, not_followed, remarks
-from thetacomp.verification.outcome import BeforeAfter, Check, HarmMap, RunFacts, Share, ShareKind, Statistic
+from thetacomp.verification.diagnosis import causes, checks, not_followed, remarks, undecided
+from thetacomp.verification.outcome import (
+    BeforeAfter,
+    Check,
+    HarmMap,
+    PooledShare,
+    RunFacts,
+    Share,
+    ShareKind,
+    Statistic,
+)
 
 NAN = float("nan")
 X, Y = (Axis(name="X", direction="+X", travel_mm=(0, 1)), Axis(name="Y", direction="+Y", travel_mm=(0, 1)))
@@ -29,7 +38,7 @@ def row(
 
 
 def share(component: str, value: float = 1.0, kind: ShareKind = "applied", **changes: object) -> Share:
-    made = Share(component, "all", value, value - 0.05, value + 0.05, 50.0, 40.0, 1.0, 1.0, True, kind)
+    made = Share(component, "all", value, value - 0.05, value + 0.05, 50.0, 40.0, 1.0, 1.0, True, kind, 0.025, 8.0, 1.0)
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
@@ -299,3 +308,47 @@ def test_a_go_remarks_on_parts_that_are_weak_or_strong_and_a_no_go_on_none() -> 
         "EXX: share 0.60 (95 %: 0.55 to 0.65)", "EYX: share 1.50 (95 %: 1.45 to 1.55)"
     ]  # fmt: skip
     assert remarks(shares, go=False) == ()
+
+
+@pytest.mark.parametrize(
+    ("components", "who"),
+    [
+        (("EXX", "EYY"), "all"),
+        (("EXX", "EXY"), "those in X"),
+        (("EXX", "EYX"), "those of axis X"),
+        (("DX", "DY"), "those of the drift"),
+    ],
+)
+def test_a_cause_states_the_share_of_components_together(components: tuple[str, ...], who: str) -> None:
+    wrong = [share(name, -1.0, "reversed") for name in components]
+    group = PooledShare(components, -1.05, -1.4, -0.7, "reversed", components)
+    good = replace(group, kind="applied", value=1.0)
+    (cause,) = causes([FAILED], OFF, ON, [*wrong, share("EZY")], MACHINE, None, [group, good])
+    assert cause.text.endswith(f"(applied shares -1.00 to -1.00; {who} together -1.05 (95 %: -1.40 to -0.70))")
+
+
+def test_a_no_go_with_open_shares_does_not_call_the_sign_right() -> None:
+    """Nothing is known of sign and activity: neither that they are wrong, nor that the model alone is to blame."""
+    (cause,) = causes([FAILED], OFF, ON, [share("EXX", 0.4, "unclear"), share("EYX", 1.4, "unclear")], MACHINE, None)
+    assert (cause.kind, cause.components) == ("model", ())
+    assert "too poorly to tell whether the correction arrives, and with which sign" in cause.text
+    assert "sign test of the commissioning sheet" in cause.fix
+    (cause,) = causes([FAILED], OFF, ON, [share("EXX"), share("EYX", 1.4, "unclear")], MACHINE, None)
+    assert "no wrong sign or size of the correction is visible" in cause.text
+
+
+def test_an_open_share_of_a_go_is_a_note() -> None:
+    shares = [share("EXX"), share("EYX", 0.4, "unclear"), share("EZX", 0.4, "unclear", material=False)]
+    (note,) = undecided(shares)
+    assert note.startswith("EYX: the applied share stays open")
+    assert undecided([share("EXX"), share("EYX", 0.5, "partly")]) == ()
+
+
+@pytest.mark.parametrize(("chance", "followed"), [(1.0, False), (4.0, False), (4.2, True)])
+def test_what_few_sweeps_make_by_chance_is_no_proof_of_another_relation(chance: float, followed: bool) -> None:
+    """41 µm are 4.1 times the usual 10."""
+    assert not_followed(share("EXX", unexplained_um=41.0, usual_um=10.0, chance=chance)) != followed
+
+
+def test_what_nobody_can_know_to_be_usual_is_no_proof_of_another_relation() -> None:
+    assert not not_followed(share("EXX", unexplained_um=30.0, usual_um=NAN))

@@ -16,8 +16,10 @@ from typer.testing import CliRunner
 from verification_runs import LAW, Run, true_model, write_folder
 
 import thetacomp
+from thetacomp.api import Verification
 from thetacomp.arrays import Floats
 from thetacomp.cli.main import app
+from thetacomp.cli.verify import summary
 from thetacomp.errors import AnalysisError
 from thetacomp.reading import read_folder
 from thetacomp.report.figures_verification import over_time
@@ -320,6 +322,17 @@ def test_the_command_ends_with_three_for_a_no_go(folder: Path, tmp_path: Path) -
     assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "").replace("http://purl.org", "")
 
 
+def test_a_go_counts_its_notes(verified: dict[str, VerificationResult]) -> None:
+    good = verified["good"]
+    for notes, verdict in (((), "GO"), (("a",), "GO WITH 1 NOTE"), (("a", "b"), "GO WITH 2 NOTES")):
+        result = replace(good, notes=notes)
+        lines = summary(result, (Path("verification.html"),)).text.splitlines()
+        assert lines[0].startswith(f"{verdict}: known mill")
+        assert sum(line.startswith("note: ") for line in lines) == len(notes)
+        assert repr(Verification(result)).startswith(f"Verification of known mill: {verdict}, off off")
+    assert replace(verified["reversed"], notes=("a",)).verdict == "NO-GO"
+
+
 def test_the_command_ends_with_zero_for_a_go_and_writes_tables(folder: Path, tmp_path: Path) -> None:
     true_model().save(tmp_path / "model.json")
     code, text = run_command(folder, "good", tmp_path / "out", "--json", "--model", str(tmp_path / "model.json"))
@@ -375,7 +388,9 @@ def test_a_name_with_markup_cannot_break_the_page(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "m", [replace(run, rounds=6) for run in runs])
     code, _ = run_command(folder, "on", tmp_path / "out")
     assert code == 0
-    assert "<b>dry</b>" not in (tmp_path / "out" / "verification.html").read_text(encoding="utf-8")
+    page = (tmp_path / "out" / "verification.html").read_text(encoding="utf-8")
+    assert "<b>dry</b>" not in page
+    assert re.search(r"GO WITH \d NOTES.*as far as the notes at the foot of the page say", page, re.DOTALL)
 
 
 def test_a_faulty_sensor_is_mended_before_anything_is_expected_of_it(tmp_path: Path) -> None:

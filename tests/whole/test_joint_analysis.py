@@ -105,6 +105,28 @@ def test_the_drift_is_fitted_without_the_held_out_states() -> None:
     assert (half > 0).all()
 
 
+def test_an_axis_is_fitted_on_what_it_adds_itself() -> None:
+    """A band is calibrated on the samples that a procedure gets: with the drift in them it would hold the drift."""
+    whole = folder()
+    everything = axis_states(whole, separate_all(MACHINE, whole.campaigns).components, ["a", "b"])
+    seen: list[AxisStates] = []
+
+    def procedure(states: AxisStates) -> AxisModel:
+        seen.append(states)
+        return fit_axis(states, ("t1",))
+
+    x = everything[0]
+    view, procedures = with_drift(x, everything, {"p": procedure})
+    rows = np.arange(2, len(x))
+    unread = view.take(rows).rise_K.copy()
+    unread[:, 1] = np.nan  # as for a sensor that the tested campaign does not have
+    procedures["p"](replace(view.take(rows), rise_K=unread))
+    for own, trained in zip(x.take(rows).samples, seen[0].samples, strict=True):
+        np.testing.assert_array_equal(trained.value_um, own.value_um)
+        np.testing.assert_array_equal(trained.state, own.state)
+    np.testing.assert_array_equal(seen[0].rise_K, unread)
+
+
 def test_drift_of_a_campaign_that_lacks_the_axis_trains_always() -> None:
     """Campaign b measured no X: nothing of X is held out there, so all of its drift may train, and of a its own."""
     whole = folder()

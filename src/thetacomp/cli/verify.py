@@ -42,16 +42,17 @@ def verify(
             progress("drawing")
             files = verification_files(result)
             write_files(fresh, files)
-        return _summary(result, tuple(out / name for name in files))
+        return summary(result, tuple(out / name for name in files))
 
     run(work, as_json)
 
 
-def _summary(result: VerificationResult, paths: tuple[Path, ...]) -> Outcome:
+def summary(result: VerificationResult, paths: tuple[Path, ...]) -> Outcome:
+    """The verdict, causes, failed checks, figures and notes, and the same for scripts."""
     from thetacomp.report.tables import component_name, number
 
     lines = [
-        f"{'GO' if result.go else 'NO-GO'}: {result.machine.name}, off {', '.join(result.off.campaigns)}, on "
+        f"{result.verdict}: {result.machine.name}, off {', '.join(result.off.campaigns)}, on "
         f"{', '.join(result.on.campaigns)}"
     ]
     for cause in result.causes:
@@ -76,6 +77,7 @@ def _summary(result: VerificationResult, paths: tuple[Path, ...]) -> Outcome:
         "on": asdict(result.on),
         "before_after": [asdict(row) for row in result.rows],
         "shares": [asdict(share) for share in result.shares],
+        "pooled_shares": [asdict(group) for group in result.pooled],
         "harm": [
             {"component": h.component, "largest_um": h.largest_um, "limit_um": h.limit_um, "at_s": h.largest_at_s,
              "at_mm": h.largest_at_mm}

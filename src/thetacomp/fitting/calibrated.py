@@ -14,6 +14,7 @@ from thetacomp.fitting.border import calibrate_validity
 from thetacomp.fitting.conformal import CampaignShapes, HeldOut, as_tuple, calibrate_band, held_out_leverage
 from thetacomp.fitting.history_model import HistoryModel, history_procedure
 from thetacomp.fitting.prior import fit_prior
+from thetacomp.model.band import Band
 from thetacomp.model.border import Border
 from thetacomp.model.document import AxisLaw, Component, Reference, Term
 from thetacomp.model.filters import InputLayout
@@ -30,6 +31,7 @@ class CalibratedHistory:
 
     document: AxisLaw
     left_out_um: Mapping[str, Floats]
+    model: HistoryModel
 
     @property
     def components(self) -> Mapping[str, Component]:
@@ -73,12 +75,14 @@ def calibrated_history(states: AxisStates) -> CalibratedHistory:
         components={},
         candidates=len(model.ridge.candidates),
     )
-    left_out_um = {name: _left_out_um(states, model, k) for k, name in enumerate(states.components)}
-    components = {name: _component(states, model, k, left_out_um[name]) for k, name in enumerate(states.components)}
-    return CalibratedHistory(document.model_copy(update={"components": components}), left_out_um)
+    left_um = {name: left_out_um(states, model, k) for k, name in enumerate(states.components)}
+    bands = {name: calibrate_band(_held_out(states, k, left_um[name])) for k, name in enumerate(states.components)}
+    components = {name: component(states, model, k, bands[name]) for k, name in enumerate(states.components)}
+    return CalibratedHistory(document.model_copy(update={"components": components}), left_um, model)
 
 
-def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Floats) -> Component:
+def component(states: AxisStates, model: HistoryModel, k: int, band: Band) -> Component:
+    """The stored form of the k-th component, with its prior, its residuals and the noise of the instrument."""
     name, count = states.components[k], len(states.components)
     targets = [states.intercept_um[:, k]]
     if not states.is_drift:
@@ -89,7 +93,6 @@ def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Flo
     samples = states.samples[k]
     samples = samples.take(_complete(samples))
     in_sample_um = samples.value_um - model.predict(name, states, samples)[0]
-    band = calibrate_band(_held_out(states, k, left_out_um))
     return Component.model_validate(
         {
             "direction": name[1],
@@ -106,7 +109,7 @@ def _component(states: AxisStates, model: HistoryModel, k: int, left_out_um: Flo
     )
 
 
-def _left_out_um(states: AxisStates, model: HistoryModel, k: int) -> Floats:
+def left_out_um(states: AxisStates, model: HistoryModel, k: int) -> Floats:
     """Samples of one component (n,) as predicted by the models that left out their campaign."""
     samples = states.samples[k]
     campaign = np.searchsorted(model.ridge.groups_, states.campaign[samples.state])
@@ -115,7 +118,7 @@ def _left_out_um(states: AxisStates, model: HistoryModel, k: int) -> Floats:
     return curve_um(parameters, k, len(states.components), samples.lever_m)
 
 
-def _held_out(states: AxisStates, k: int, left_out_um: Floats) -> HeldOut:
+def _held_out(states: AxisStates, k: int, left_um: Floats) -> HeldOut:
     """What a band is calibrated on: samples of heated states whose inputs are all there."""
     samples = states.samples[k]
     judged = _complete(samples)
@@ -125,7 +128,7 @@ def _held_out(states: AxisStates, k: int, left_out_um: Floats) -> HeldOut:
         raise AnalysisError(f"{states.components[k]}: no sample of a heated state to calibrate a band on.")
     own = samples.take(judged)
     campaign = states.campaign[own.state]
-    return HeldOut(own.value_um - left_out_um[judged], held_out_leverage(own.history, campaign), campaign)
+    return HeldOut(own.value_um - left_um[judged], held_out_leverage(own.history, campaign), campaign)
 
 
 def _sensor_columns(layout: InputLayout, states: AxisStates, values: Floats) -> Floats:

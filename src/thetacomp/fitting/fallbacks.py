@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
-from thetacomp.axis_states import AxisStates, axis_states
-from thetacomp.campaign import MachineFolder
+from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
-from thetacomp.fitting.calibrated import CalibratedHistory, calibrated_history
+from thetacomp.fitting.calibrated import CalibratedHistory, component, left_out_um
+from thetacomp.fitting.history_model import history_procedure
 from thetacomp.fitting.key_point_law import ELAPSED_TIME, AxisModel, Procedure
-from thetacomp.model.document import Accuracy, AxisLaw, Component, Fallback
-from thetacomp.separation.component import ComponentSeparation
+from thetacomp.model.document import Accuracy, AxisLaw, Fallback
 
 Split = tuple[Ints, Ints]
 """Rows that train and rows that test."""
@@ -31,28 +30,49 @@ class AxisFallback:
 
 
 def states_without(states: AxisStates, sensor: str) -> AxisStates:
-    """The same states and samples without one sensor.
-
-    Heat history is left out: its products hold the mean rise of all sensors.
-    """
+    """The same states and samples without one sensor, heat history too where it has it."""
     column = states.sensors.index(sensor)
-    return replace(
+    plain = replace(
         states,
         sensors=tuple(name for name in states.sensors if name != sensor),
         rise_K=np.delete(states.rise_K, column, axis=1),
         reference_degC=np.delete(states.reference_degC, column, axis=1),
-        history=np.empty((len(states), 0)),
-        reference_history=np.empty((len(states), 0)),
-        layout=None,
-        samples=tuple(
-            replace(
-                samples,
-                rise_K=np.delete(samples.rise_K, column, axis=1),
-                history=np.empty((len(samples.value_um), 0)),
-            )
-            for samples in states.samples
-        ),
+        samples=tuple(replace(s, rise_K=np.delete(s.rise_K, column, axis=1)) for s in states.samples),
     )
+    layout = states.layout
+    if layout is None or sensor not in layout.sensors:
+        return plain
+    if len(layout.sensors) == 1:
+        return _without_history(plain)
+    columns, passed = layout.running, states.trajectory
+    references = {int(c): states.reference_history[states.campaign == c][0] for c in np.unique(states.campaign)}
+
+    def left(inputs: Floats, campaign: Ints) -> Floats:
+        """Inputs of the smaller layout since the same references, from those of the layout."""
+        out = np.empty((len(inputs), sum(map(len, layout.without(sensor).blocks.values()))))
+        for label, reference in references.items():
+            own = campaign == label
+            running = layout.running_without(sensor, inputs[own, :columns] + reference)
+            zero = layout.running_without(sensor, reference[None])[0]
+            out[own] = layout.without(sensor).since(running, zero)
+        return out
+
+    inputs = sum(map(len, layout.blocks.values()))
+    degC = np.delete(passed.inputs[:, inputs:], layout.sensors.index(sensor), axis=1)
+    return replace(
+        plain,
+        layout=layout.without(sensor),
+        history=left(states.history, states.campaign),
+        reference_history=layout.running_without(sensor, states.reference_history),
+        samples=tuple(replace(s, history=left(s.history, states.campaign[s.state])) for s in plain.samples),
+        trajectory=replace(passed, inputs=np.hstack([left(passed.inputs[:, :inputs], passed.campaign), degC])),
+    )
+
+
+def _without_history(states: AxisStates) -> AxisStates:
+    nothing = np.empty((len(states), 0))
+    samples = tuple(replace(s, history=np.empty((len(s.value_um), 0))) for s in states.samples)
+    return replace(states, layout=None, history=nothing, reference_history=nothing, samples=samples)
 
 
 def axis_fallbacks(
@@ -91,48 +111,38 @@ def _held_out_um(states: AxisStates, procedure: Procedure, folds: Sequence[Split
     return out
 
 
-def with_fallbacks(
-    folder: MachineFolder,
-    separations: Sequence[ComponentSeparation],
-    campaigns: Sequence[str],
-    states: AxisStates,
-    whole: CalibratedHistory,
-    wanted: Collection[str] | None = None,
-) -> AxisLaw:
+def with_fallbacks(states: AxisStates, whole: CalibratedHistory, wanted: Collection[str] | None = None) -> AxisLaw:
     """The document of an axis with a fallback for each sensor of its layout; none for a layout of one sensor.
 
-    `states` are those that `whole` was fitted on, from `separations` of the training `campaigns`. `wanted` names the
-    sensors that need one, all by default: every fallback is fitted on its own.
+    `states` are those that `whole` was fitted on. A fallback takes strengths and weights over from it. `wanted` names
+    the sensors that need one, all by default.
     """
     axis = whole.document
-    own = [s for s in separations if (s.axis or "") == states.axis]
     sensors = axis.layout.sensors if len(axis.layout.sensors) > 1 else ()
-    made = []
-    for lost in sensors if wanted is None else [name for name in sensors if name in wanted]:
-        (rest,) = axis_states(folder.without_sensors({lost}), own, campaigns)
-        fitted = calibrated_history(rest)
-        accuracy = {
-            name: accuracy_of(states.samples[k].value_um, whole.left_out_um[name], fitted.left_out_um[name])
-            for k, name in enumerate(states.components)
-        }
-        components = {name: _widened(c, axis.components[name], accuracy[name]) for name, c in fitted.components.items()}
-        made.append(
-            Fallback(
-                lost=lost,
-                layout=fitted.document.layout,
-                reference=fitted.document.reference,
-                components=components,
-                accuracy=accuracy,
-            )
-        )
+    made = [_history_fallback(states, whole, lost) for lost in sensors if wanted is None or lost in wanted]
     return axis.model_copy(update={"fallbacks": tuple(made)})
 
 
-def _widened(component: Component, full: Component, accuracy: Accuracy) -> Component:
-    """The component with the band of the full model times what the loss costs, never narrower."""
-    factor = max(1.0, accuracy.without_rms_um / accuracy.full_rms_um) if accuracy.full_rms_um > 0 else 1.0
-    quantile, noise_sd_um = factor * (full.band.quantile or 0.0), component.band.noise_sd_um
-    return component.model_copy(update={"band": replace(full.band, quantile=quantile, noise_sd_um=noise_sd_um)})
+def _history_fallback(states: AxisStates, whole: CalibratedHistory, lost: str) -> Fallback:
+    """The band is that of the full model times what the loss costs, never narrower."""
+    rest = states_without(states, lost)
+    model = history_procedure(rest, whole.model)
+    accuracy, components = {}, {}
+    for k, name in enumerate(states.components):
+        known = accuracy_of(states.samples[k].value_um, whole.left_out_um[name], left_out_um(rest, model, k))
+        full = whole.components[name].band
+        factor = max(1.0, known.without_rms_um / known.full_rms_um) if known.full_rms_um > 0 else 1.0
+        band = replace(full, quantile=factor * (full.quantile or 0.0))
+        accuracy[name], components[name] = known, component(rest, model, k, band)
+    reference = whole.document.reference
+    zero = tuple(float(value) for value in rest.reference_history[0])
+    return Fallback(
+        lost=lost,
+        layout=model.layout,
+        reference=reference.model_copy(update={"inputs": zero}),
+        components=components,
+        accuracy=accuracy,
+    )
 
 
 def accuracy_of(measured_um: Floats, full_um: Floats, without_um: Floats) -> Accuracy:

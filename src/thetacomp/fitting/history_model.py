@@ -31,8 +31,10 @@ class HistoryModel:
         return value, np.full(len(value), np.nan)
 
 
-def history_procedure(states: AxisStates) -> HistoryModel:
+def history_procedure(states: AxisStates, like: HistoryModel | None = None) -> HistoryModel:
     """Fit on all components at once; everything is chosen by holding out campaigns inside the training states.
+
+    `like` is a model of the same components with one more sensor, whose strengths and weights are taken over.
 
     Raises AnalysisError where no sensor was read in all campaigns or fewer than two campaigns train.
     """
@@ -40,6 +42,7 @@ def history_procedure(states: AxisStates) -> HistoryModel:
         raise AnalysisError(f"axis {states.axis or 'drift'}: no sensor was read in all campaigns.")
     if len(np.unique(states.campaign)) < MIN_CAMPAIGNS:
         raise AnalysisError(f"axis {states.axis or 'drift'}: heat history needs {MIN_CAMPAIGNS} training campaigns.")
-    ridge = HistoryRidge(states.layout.blocks, history_candidates(states.layout))
-    ridge.fit(states.history, states.targets(), states.campaign)
+    candidates = history_candidates(states.layout, len(np.unique(states.campaign)))
+    ridge = HistoryRidge(states.layout.blocks, candidates)
+    ridge.fit(states.history, states.targets(), states.campaign, like.ridge if like is not None else None)
     return HistoryModel(states.axis, states.components, states.layout, ridge)

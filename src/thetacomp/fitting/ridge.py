@@ -1,10 +1,18 @@
 """Ridge regression on heat history: several block models, strengths found by holding out campaigns, averaged.
 
 One fixed procedure for every machine and component. A candidate says which blocks of inputs take part and how wide
-the prior of their coefficients is. Inside the training campaigns each campaign is held out in turn; every candidate
-takes the ridge strength with the least held-out square error, and the candidates are averaged with weights
-`mse ** -2`. An average of linear models is one linear model, so a controller needs no more than a dot product.
-Averaging instead of picking the best: with few campaigns the best candidate is best mostly by chance.
+the prior of their coefficients is. Every candidate takes the ridge strength with the least square error on rows that
+are left out, and the candidates are averaged with weights `mse ** -2`. An average of linear models is one linear
+model, so a controller needs no more than a dot product. Averaging instead of picking the best: with few campaigns the
+best candidate is best mostly by chance.
+
+Rows are means over stretches, so that a campaign of ten thousand samples counts like one of twenty, and the noise of a
+thermometer is not taken for its course. What is left out are whole campaigns, or halves of them where campaigns are
+few: with three of them, leaving one out and another one inside leaves nothing to compare strengths on.
+
+Errors on left-out rows come from one decomposition `Z = U s Vᵀ` a candidate, without a fit for each: with the hat
+matrix `H = U s² / (s² + n λ) Uᵀ` the rows c that are left out together keep `e_c = (1 - H_cc)⁻¹ (y - H y)_c`, exactly
+(the blockwise form of PRESS: Allen, Technometrics 16, 1974; Golub, Heath and Wahba, Technometrics 21, 1979).
 
 There is no intercept. The error is zero at the reference by definition (the datum is set there), so inputs must be
 differences from the reference row; see `rise_since`.
@@ -20,15 +28,20 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thetacomp.arrays import Floats
+from thetacomp.arrays import Floats, Ints
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.estimator import Regressor
-from thetacomp.model.filters import InputLayout
-from thetacomp.moments import summarise
+from thetacomp.model.filters import LEVEL_CAMPAIGNS, InputLayout
 
 # strengths relative to inputs of unit variance, half a decade between neighbours
 STRENGTHS: tuple[float, ...] = tuple(10.0 ** (k / 2) for k in range(-6, 7))
 _WEIGHT_POWER = 2.0
+# rows of all campaigns together, and the fewest and most of one
+_ROWS, _FEWEST, _MOST = 400, 8, 80
+# below this many campaigns their halves are left out instead of the whole
+WHOLE_CAMPAIGNS = 5
+# from this many campaigns on an outlying one counts less: where its mean square is above three times the median
+OUTLYING_CAMPAIGNS, OUTLYING_TIMES = 9, 3.0
 
 
 @dataclass(frozen=True)
@@ -48,24 +61,23 @@ class BlockUse:
 Candidate = tuple[BlockUse, ...]
 
 
-def history_candidates(layout: InputLayout) -> tuple[Candidate, ...]:
-    """The fixed list of candidates for a layout: 144 with speed and its square, 8 without speed.
+def history_candidates(layout: InputLayout, campaigns: int) -> tuple[Candidate, ...]:
+    """The fixed list of candidates for a layout and a number of training campaigns.
 
-    Every candidate has the temperatures. It may have their differences to lags, speed lags (one power or all, narrow
-    or wide) and products of the lagged highest power with the mean rise. Its lags are three of the layout's time
-    constants, every second one, so that fast and slow machines are both served.
+    Every candidate has the temperatures. It may have their differences to lags, speed lags (none, one power or all,
+    narrow or wide), products of the lagged highest power with the mean rise, and products of the rises with the median
+    rise. From LEVEL_CAMPAIGNS on what is still open is the level at the start: candidates have products with it or not,
+    all have those with the median rise, and speeds come with all their powers.
     """
-    all_taus_s = layout.time_constants_s
-    grids = [all_taus_s[i : i + 5 : 2] for i in range(max(1, len(all_taus_s) - 4))]
-    powers = list(dict.fromkeys([*((power,) for power in layout.speed_powers), layout.speed_powers]))
-    speeds = product(powers, (0.3, 1.0), (0.0, 0.3)) if layout.speed_powers else [((), 0.0, 0.0)]
+    taus_s, many = layout.time_constants_s, campaigns >= LEVEL_CAMPAIGNS
+    powers = dict.fromkeys([*((power,) for power in layout.speed_powers if not many), layout.speed_powers])
+    speeds = [((), 0.0, 0.0), *product([p for p in powers if p], (0.3, 1.0), (0.0, 0.3))]
+    most = tuple(factor for factor in layout.products if many or factor != "level")
     scales: tuple[Literal["each", "common"], ...] = ("common", "each")
-    # without lags and speed the grids give the same candidate: it counts once
     return tuple(
-        dict.fromkeys(
-            _candidate(taus_s, scale, lag_width, *speed)
-            for scale, lag_width, speed, taus_s in product(scales, (0.0, 0.3), speeds, grids)
-        )
+        _candidate(taus_s, scale, lag_width, *speed, factors)
+        for factors in dict.fromkeys([most[:-1], most])
+        for scale, lag_width, speed in product(scales, (0.0, 0.3) if taus_s else (0.0,), speeds)
     )
 
 
@@ -76,6 +88,7 @@ def _candidate(
     powers: tuple[int, ...],
     speed_width: float,
     product_width: float,
+    factors: tuple[str, ...],
 ) -> Candidate:
     """One block model; `product_width` counts against `speed_width`, a width of 0 leaves the block out."""
     uses = [BlockUse("temperature", 1.0, scale)]
@@ -85,6 +98,7 @@ def _candidate(
     if product_width:
         width = product_width * speed_width
         uses += [BlockUse(f"speed^{powers[-1]} x rise {tau_s:g} s", width, scale) for tau_s in taus_s]
+    uses += [BlockUse(f"rise x {factor}", 0.2, scale) for factor in factors]
     return tuple(uses)
 
 
@@ -94,76 +108,88 @@ def rise_since(inputs: Floats, reference: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class CampaignMoments:
-    """Sums over each campaign's rows, from which any union of campaigns is fitted without its rows.
+class Stretches:
+    """Means over stretches of each campaign's rows: inputs `x` (n, k), targets `y` (n, m), the row's `campaign` (n,).
 
-    `n` (c,), `x` (c, k), `xx` (c, k, k), `xy` (c, k, m), `yy` (c, m) for c campaigns, k inputs, m targets.
+    Campaigns are numbered from 0 in the order of `labels`; each stands in rows that follow one another.
     """
 
-    n: Floats
     x: Floats
-    xx: Floats
-    xy: Floats
-    yy: Floats
+    y: Floats
+    campaign: Ints
+    labels: NDArray[Any]
 
     @classmethod
-    def of(cls, x: Floats, y: Floats, groups: NDArray[Any]) -> CampaignMoments:
-        """One pass over the rows; campaigns in the order of their sorted labels."""
-        k = x.shape[1]
-        inputs, targets = [f"{i}" for i in range(k)], [f"{i}" for i in range(y.shape[1])]
-        parts = [summarise(x[groups == label], y[groups == label], inputs, targets) for label in np.unique(groups)]
-        products = np.array([part.about_zero() for part in parts])
+    def of(cls, x: Floats, y: Floats, groups: NDArray[Any]) -> Stretches:
+        """Stretches of equal length, as many in a campaign as all of them together allow; rows in order of time."""
+        labels = np.unique(groups)
+        most = int(np.clip(_ROWS // len(labels), _FEWEST, _MOST))
+        parts = [np.array_split(rows, min(most, len(rows))) for rows in (np.flatnonzero(groups == g) for g in labels)]
+        every = [rows for campaign in parts for rows in campaign]
         return cls(
-            n=np.array([float(part.count) for part in parts]),
-            x=np.array([part.count * part.input_mean for part in parts]),
-            xx=products[:, :k, :k],
-            xy=products[:, :k, k:],
-            yy=np.diagonal(products[:, k:, k:], axis1=1, axis2=2),
+            x=np.array([x[rows].mean(axis=0) for rows in every]),
+            y=np.array([y[rows].mean(axis=0) for rows in every]),
+            campaign=np.repeat(np.arange(len(labels)), [len(campaign) for campaign in parts]),
+            labels=labels,
         )
 
-    def spread(self, rows: Sequence[int]) -> Floats:
-        """Standard deviation of every input over some campaigns, (k,)."""
-        n = self.n[rows].sum()
-        square = np.diagonal(self.xx[rows], axis1=1, axis2=2).sum(axis=0) / n - (self.x[rows].sum(axis=0) / n) ** 2
-        spread: Floats = np.sqrt(np.maximum(square, 0.0))
-        return spread
-
-    def square_error(self, held_out: int, columns: NDArray[np.intp], coef: Floats) -> Floats:
-        """Sum of squared errors (m, strengths) over one campaign, for coefficients (k, m, strengths)."""
-        xx = self.xx[held_out][np.ix_(columns, columns)]
-        cross = np.einsum("km,kma->ma", self.xy[held_out][columns], coef)
-        square = np.einsum("kma,kma->ma", coef, np.tensordot(xx, coef, axes=1))
-        error: Floats = np.maximum(self.yy[held_out][:, None] - 2.0 * cross + square, 0.0)
-        return error
+    def left_out_together(self) -> Ints:
+        """Number (n,) of what is left out together to choose by: a campaign, or half of one where they are few."""
+        if len(self.labels) >= WHOLE_CAMPAIGNS:
+            return self.campaign
+        rows = np.bincount(self.campaign)[self.campaign]
+        number = np.arange(len(self.campaign)) - np.searchsorted(self.campaign, self.campaign)
+        return np.unique(2 * self.campaign + (2 * number >= rows), return_inverse=True)[1]
 
 
-def ridge_path(
-    moments: CampaignMoments, rows: Sequence[int], columns: NDArray[np.intp], width: Floats, strengths: Floats
-) -> Floats:
-    """Coefficients (k, m, strengths) of `min Σ (y - x b)² / n + strength Σ (b / width)²` over some campaigns.
+class _Decomposition:
+    """`Z = U s Vᵀ` of scaled inputs (n, k), and targets (n, m): ridge of any strength, with and without some rows."""
 
-    One eigen-decomposition serves all strengths and targets. An input of width 0 gets the coefficient 0.
-    """
-    n = moments.n[rows].sum()
-    xx = moments.xx[rows].sum(axis=0)[np.ix_(columns, columns)] / n
-    xy = moments.xy[rows].sum(axis=0)[columns] / n
-    values, vectors = np.linalg.eigh(xx * width[:, None] * width)
-    shrunk = (vectors.T @ (xy * width[:, None]))[:, :, None] / (np.maximum(values, 0.0)[:, None, None] + strengths)
-    path: Floats = np.tensordot(vectors, shrunk, axes=1) * width[:, None, None]
-    return path
+    def __init__(self, z: Floats, y: Floats) -> None:
+        wide = z.shape[1] > len(z)
+        squares, vectors = np.linalg.eigh(z @ z.T if wide else z.T @ z)
+        kept = squares > 1e-12 * max(squares[-1], 1e-300)
+        self.square, vectors = squares[kept], vectors[:, kept]
+        self.s = np.sqrt(self.square)
+        self.u: Floats = vectors if wide else z @ vectors / self.s
+        self.v: Floats = z.T @ vectors / self.s if wide else vectors
+        self.y, self.uy, self.n = y, self.u.T @ y, len(z)
+
+    def left_out(self, strengths: Sequence[float], together: Ints) -> Floats:
+        """Errors (strengths, n, m) of rows by fits without those left `together`, numbered 0, 1 … in their order."""
+        counts = np.bincount(together)
+        at = together, np.arange(self.n) - np.searchsorted(together, together)
+        u, rest = (np.zeros((len(counts), counts.max(), a.shape[1])) for a in (self.u, self.y))
+        u[at], one, out = self.u, np.eye(counts.max()) * (1.0 + 1e-9), []
+        for strength in strengths:
+            share = self.square / (self.square + self.n * strength)
+            rest[at] = self.y - self.u @ (share[:, None] * self.uy)
+            out.append(np.linalg.solve(one - (u * share) @ u.transpose(0, 2, 1), rest)[at])
+        return np.array(out)
+
+    def coefficients(self, strength: float, campaign: Ints) -> tuple[Floats, Floats]:
+        """Coefficients (k, m) of the scaled inputs, and without each campaign of rows (n,), (campaigns, k, m)."""
+        gain = (self.s / (self.square + self.n * strength))[:, None]
+        (left_um,) = self.left_out((strength,), campaign)
+        shift = np.array([self.u[campaign == c].T @ left_um[campaign == c] for c in range(campaign[-1] + 1)])
+        whole = self.v @ (gain * self.uy)
+        return whole, whole - self.v @ (gain * shift)
 
 
 class HistoryRidge(Regressor):
     """The averaged block ridge as a scikit-learn regressor; fit(X, y, groups) with one group label a row.
 
     `blocks` names the inputs block by block (`InputLayout.blocks`), `candidates` the block models to average.
-    X (n, inputs) are differences from the reference row, y (n,) or (n, targets) errors in µm.
+    X (n, inputs) are differences from the reference row in order of time, y (n,) or (n, targets) errors in µm.
 
     After fit: `coef_` (inputs,) or (targets, inputs) in µm per unit of input; `weights_`, `strengths_` and
     `held_out_rmse_um_` (targets, candidates) of every candidate inside the training campaigns. `left_out_coef_` has a
     row more in front, one for each of `groups_`: the same average made without that group. Only weights and strengths
-    have seen it, so residuals against it calibrate a band.
+    have seen it, so residuals against it calibrate a band. `group_weights_` is below 1 for an outlying group.
     """
+
+    groups_: NDArray[Any]
+    group_weights_: Floats
 
     def __init__(
         self,
@@ -175,48 +201,62 @@ class HistoryRidge(Regressor):
         self.candidates = candidates
         self.strengths = strengths
 
-    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike) -> HistoryRidge:
-        """Choose strengths and weights by holding out each group once, then fit on all.
+    def fit(self, X: ArrayLike, y: ArrayLike, groups: ArrayLike, like: HistoryRidge | None = None) -> HistoryRidge:
+        """Choose strengths and weights on rows that are left out, then fit on all; or take both from a fit `like` it.
 
         A row with a missing input or target is left out. Raises AnalysisError for fewer than 2 groups or shapes that
         do not fit together.
         """
-        x, target, labels = self._checked(X, y, groups)
-        moments = CampaignMoments.of(x, target, labels)
-        campaigns = list(range(len(moments.n)))
-        rests = [[c for c in campaigns if c != held_out] for held_out in campaigns]
-        spreads, spread = [moments.spread(rest) for rest in rests], moments.spread(campaigns)
-        strengths = np.asarray(self.strengths)
-        size = np.maximum(moments.yy.sum(axis=0) / moments.n.sum(), 1e-12)
-        m, k = target.shape[1], x.shape[1]
-        mse, chosen = np.empty((m, len(self.candidates))), np.empty((m, len(self.candidates)), dtype=np.intp)
-        weights, coef, left_out = np.empty_like(mse), np.zeros((m, k)), np.zeros((len(campaigns), m, k))
-        blocks = self._block_columns()
+        rows = Stretches.of(*self._checked(X, y, groups))
+        if like is not None:
+            weight = np.array([dict(zip(like.groups_, like.group_weights_, strict=True))[g] for g in rows.labels])
+            averaged = self._average(rows, weight, like)
+        else:
+            weight = np.ones(len(rows.labels))
+            averaged = self._average(rows, weight)
+            if len(rows.labels) >= OUTLYING_CAMPAIGNS:
+                weight = _outlying(rows, averaged.left_out)
+                averaged = self._average(rows, weight) if weight.min() < 1.0 else averaged
+        several = np.ndim(y) == 2
+        self.coef_ = averaged.coef if several else averaged.coef[0]
+        self.left_out_coef_ = averaged.left_out if several else averaged.left_out[:, 0]
+        self.groups_, self.group_weights_ = rows.labels, weight
+        self.weights_, self.strengths_, self.held_out_rmse_um_ = averaged.weights, averaged.strengths, averaged.rmse_um
+        self.n_features_in_ = rows.x.shape[1]
+        return self
+
+    def _average(self, rows: Stretches, group_weight: Floats, like: HistoryRidge | None = None) -> _Average:
+        """All candidates at their best strengths, averaged; groups count by `group_weight` (groups,)."""
+        root = np.sqrt(group_weight)[rows.campaign][:, None]
+        spread, blocks, m = rows.x.std(axis=0), self._block_columns(), rows.y.shape[1]
+        z, y = rows.x * root, rows.y * root
+        shape = (m, len(self.candidates))
+        mse, strengths, weights = np.full(shape, np.nan), np.empty(shape), np.empty(shape)
+        coef = np.zeros((m, rows.x.shape[1]))
+        left_out = np.zeros((len(rows.labels), *coef.shape))
         for i, candidate in enumerate(self.candidates):
             uses = [(use, blocks[use.block]) for use in candidate]
-            columns = np.concatenate([own for _, own in uses])
-            paths = [
-                ridge_path(moments, rest, columns, _widths(uses, own), strengths)
-                for rest, own in zip(rests, spreads, strict=True)
-            ]
-            error = sum(moments.square_error(c, columns, path) for c, path in enumerate(paths)) / moments.n.sum()
-            chosen[:, i] = best = np.argmin(error, axis=1)
-            mse[:, i] = error[np.arange(m), best]
-            weights[:, i] = (mse[:, i] / size + 1e-12) ** -_WEIGHT_POWER
-            whole = ridge_path(moments, campaigns, columns, _widths(uses, spread), strengths)
-            coef[:, columns] += weights[:, i, None] * whole[:, np.arange(m), best].T
-            for c, path in enumerate(paths):
-                left_out[c][:, columns] += weights[:, i, None] * path[:, np.arange(m), best].T
+            columns, width = np.concatenate([own for _, own in uses]), _widths(uses, spread)
+            fitted = _Decomposition(z[:, columns] * width, y)
+            if like is None:
+                mse[:, i], strengths[:, i] = self._best(fitted, rows.left_out_together())
+                weights[:, i] = (mse[:, i] / np.maximum(np.mean(y**2, axis=0), 1e-12) + 1e-12) ** -_WEIGHT_POWER
+            else:
+                mse[:, i], strengths[:, i] = like.held_out_rmse_um_[:, i] ** 2, like.strengths_[:, i]
+                weights[:, i] = like.weights_[:, i]
+            for strength in np.unique(strengths[:, i]):
+                own = np.flatnonzero(strengths[:, i] == strength)
+                whole, without = fitted.coefficients(strength, rows.campaign)
+                weight = weights[own, i, None]
+                coef[np.ix_(own, columns)] += weight * (whole * width[:, None]).T[own]
+                left_out[:, own[:, None], columns] += weight * (without * width[:, None]).transpose(0, 2, 1)[:, own]
         total = weights.sum(axis=1, keepdims=True)
-        coef, left_out = coef / total, left_out / total
-        self.coef_ = coef if np.ndim(y) == 2 else coef[0]
-        self.left_out_coef_ = left_out if np.ndim(y) == 2 else left_out[:, 0]
-        self.groups_ = np.unique(labels)
-        self.weights_ = weights / total
-        self.strengths_ = strengths[chosen]
-        self.held_out_rmse_um_ = np.sqrt(mse)
-        self.n_features_in_ = k
-        return self
+        return _Average(coef / total, left_out / total, weights / total, strengths, np.sqrt(mse))
+
+    def _best(self, fitted: _Decomposition, together: Ints) -> tuple[Floats, Floats]:
+        """Least mean square error (m,) on left-out rows, and the strength (m,) that gives it."""
+        errors = np.mean(fitted.left_out(self.strengths, together) ** 2, axis=1)
+        return errors.min(axis=0), np.asarray(self.strengths)[errors.argmin(axis=0)]
 
     def predict(self, X: ArrayLike) -> Floats:
         """Errors (n,) or (n, targets) in µm."""
@@ -254,6 +294,26 @@ class HistoryRidge(Regressor):
                 " chosen by holding out one of them. Fix: measure one more campaign, or use the paper's model."
             )
         return x[good], target[good], labels[good]
+
+
+@dataclass(frozen=True)
+class _Average:
+    """Of m targets and a candidates: `coef` (m, k), `left_out` (campaigns, m, k), the others (m, a)."""
+
+    coef: Floats
+    left_out: Floats
+    weights: Floats
+    strengths: Floats
+    rmse_um: Floats
+
+
+def _outlying(rows: Stretches, left_out: Floats) -> Floats:
+    """Weight of every campaign: below 1 where the fit without it misses it by far more than the others are missed."""
+    missed = rows.y - np.einsum("nk,nmk->nm", rows.x, left_out[rows.campaign])
+    square = np.array([np.mean(missed[rows.campaign == c] ** 2, axis=0) for c in range(len(rows.labels))])
+    times = np.mean(square / np.maximum(np.median(square, axis=0), 1e-12), axis=1)
+    weight: Floats = 1.0 / np.maximum(1.0, times / OUTLYING_TIMES)
+    return weight
 
 
 def _widths(uses: Sequence[tuple[BlockUse, NDArray[np.intp]]], spread: Floats) -> Floats:

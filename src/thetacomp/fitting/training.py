@@ -83,14 +83,7 @@ def train(
     fitted_paper = _where_possible(prepared.training, procedures.paper)
     progress("fitting heat history" + (", and a fallback for every sensor" if lost is None else ""))
     history = [
-        with_fallbacks(
-            prepared.folder,
-            prepared.separated.components,
-            prepared.train,
-            states,
-            procedures.history(states),
-            lost,
-        )
+        with_fallbacks(states, procedures.history(states), lost)
         for states in _enough_for_history(prepared)
         if axes is None or states.axis in axes
     ]

@@ -57,7 +57,7 @@ def _own(law: AxisLaw, *, angles: bool) -> Iterator[str]:
     yield from _travel(law)
     inputs, sensors = sum(len(block) for block in law.layout.blocks.values()), len(law.layout.sensors)
     yield from _layout(law.layout)
-    yield from _reference(law.reference, inputs, sensors)
+    yield from _reference(law.reference, law.layout.running, sensors)
     yield from _leverage("leverage", law.leverage, inputs)
     yield from _border(law.border, law.layout.sensors, inputs)
     letters = dict(zip("XYZ", "ABC" if angles else "XYZ", strict=True))
@@ -95,12 +95,14 @@ def _layout(layout: InputLayout) -> Iterator[str]:
         layout.speed_powers
     ):
         yield f"layout: speed_powers are {layout.speed_powers}, expected different ones of 1 to 4"
+    if layout.products and (not layout.time_constants_s or len(set(layout.products)) < len(layout.products)):
+        yield "layout: products twice, or without filters"
     yield from _plausible("layout.base_degC", (layout.base_degC,))
 
 
-def _reference(reference: Reference, inputs: int, sensors: int) -> Iterator[str]:
-    if len(reference.inputs) != inputs:
-        yield f"the layout has {inputs} inputs, the reference has {len(reference.inputs)}"
+def _reference(reference: Reference, running: int, sensors: int) -> Iterator[str]:
+    if len(reference.inputs) != running:
+        yield f"the layout has {running} running inputs, the reference has {len(reference.inputs)}"
     yield from _plausible("reference", reference.inputs[:sensors])
 
 

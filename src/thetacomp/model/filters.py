@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import field_validator
@@ -27,6 +27,10 @@ from thetacomp.model.temperatures import Duty, Temperatures
 _LONGEST_STRETCH = 30.0
 
 SPEED = "spindle_rpm"
+# rises are divided by this before they multiply others, so that products have the size of rises
+PRODUCT_UNIT_K = 5.0
+# fewer campaigns cannot tell whether the level at which they start plays a part, or anything else that differs
+LEVEL_CAMPAIGNS = 10
 
 
 @dataclass(frozen=True)
@@ -155,13 +159,16 @@ class InputLayout(Strict):
 
     `sensors` name the temperatures. `time_constants_s` are the lags; without any the temperatures are all there is.
     `speed_powers` are the powers of the spindle speed that drive lags (none: speed is not used). `base_degC` is the
-    mean temperature from which the mean rise counts in products; it is a constant of the model, not a datum.
+    temperature from which levels count in products; it is a constant of the model, not a datum. `products` multiply
+    the rise of every sensor since the reference: `median` by the median rise, for what does not grow in proportion;
+    `level` by the median temperature at the reference, for machines that answer otherwise in a warm hall.
     """
 
     sensors: tuple[str, ...]
-    time_constants_s: tuple[float, ...] = (480.0, 900.0, 1800.0, 3600.0, 7200.0, 14400.0, 28800.0)
+    time_constants_s: tuple[float, ...] = (900.0, 3600.0, 14400.0)
     speed_powers: tuple[int, ...] = (1, 2)
     base_degC: float
+    products: tuple[Literal["median", "level"], ...] = ()
 
     @classmethod
     def plain(cls, sensors: Sequence[str]) -> InputLayout:
@@ -189,7 +196,7 @@ class InputLayout(Strict):
 
     @property
     def blocks(self) -> dict[str, tuple[str, ...]]:
-        """Names of the inputs, block by block, in the order of the columns of `inputs`."""
+        """Names of the inputs, block by block, in the order of the columns of `since`."""
         out: dict[str, tuple[str, ...]] = {"temperature": self.sensors}
         for tau_s in self.time_constants_s:
             out[f"difference {tau_s:g} s"] = tuple(f"{name} - lag {tau_s:g} s" for name in self.sensors)
@@ -199,12 +206,27 @@ class InputLayout(Strict):
         for power in self.speed_powers:
             for tau_s in self.time_constants_s:
                 out[f"speed^{power} x rise {tau_s:g} s"] = (f"speed^{power} lag {tau_s:g} s x mean rise",)
+        for factor in self.products:
+            out[f"rise x {factor}"] = tuple(f"{name} x {factor}" for name in self.sensors)
         return out
 
-    def inputs(self, signals: Floats, lags: Floats) -> Floats:
-        """All inputs (n, inputs) from signals (n, signals) and their lags (n, time constants, signals).
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """What every input of `blocks` tells of: its sensor, or a power of the speed, alone or with the mean rise."""
+        out = list(self.sensors) * (1 + len(self.time_constants_s))
+        for product in ("", " x rise"):
+            out += [f"speed^{power}{product}" for power in self.speed_powers for _ in self.time_constants_s]
+        return (*out, *self.sensors * len(self.products))
 
-        A filter keeps running when a new datum is set: what counts from a datum is the difference of two rows.
+    @property
+    def running(self) -> int:
+        """How many inputs run on their own: those of `inputs`, without the products since a reference."""
+        return sum(map(len, self.blocks.values())) - len(self.products) * len(self.sensors)
+
+    def inputs(self, signals: Floats, lags: Floats) -> Floats:
+        """Running inputs (n, running) from signals (n, signals) and their lags (n, time constants, signals).
+
+        A filter keeps running when a new datum is set: what counts from a datum is made by `since`.
         """
         p = len(self.sensors)
         temperature = signals[:, :p]
@@ -215,11 +237,36 @@ class InputLayout(Strict):
         differences = (temperature[:, None, :] - lags[:, :, :p]).reshape(len(signals), -1)
         return np.hstack([temperature, differences, speed, speed * rise_K])
 
+    def without(self, sensor: str) -> InputLayout:
+        """The layout without one of its sensors."""
+        return self.model_copy(update={"sensors": tuple(name for name in self.sensors if name != sensor)})
+
+    def running_without(self, sensor: str, inputs: Floats) -> Floats:
+        """Running inputs of the layout `without` a sensor from those of this layout, (n, running)."""
+        p, taus = len(self.sensors), len(self.time_constants_s)
+        speeds = p * (1 + taus) + np.arange(len(self.speed_powers) * taus)
+        own = inputs[:, : p * (1 + taus)].reshape(len(inputs), 1 + taus, p)
+        left = np.delete(own, self.sensors.index(sensor), axis=2)
+        rise_K = left[:, 0].mean(axis=1, keepdims=True) - self.base_degC
+        return np.hstack([left.reshape(len(inputs), -1), inputs[:, speeds], inputs[:, speeds] * rise_K])
+
+    def since(self, inputs: Floats, reference: Floats) -> Floats:
+        """All inputs of the law (n, k) since a reference (running,), from running inputs (n, running)."""
+        moved: Floats = np.asarray(inputs) - reference
+        if not self.products:
+            return moved
+        rise_K, start_degC = moved[:, : len(self.sensors)], float(np.median(reference[: len(self.sensors)]))
+        factors_K: dict[str, Any] = {
+            "median": np.median(rise_K, axis=1, keepdims=True),
+            "level": start_degC - self.base_degC,
+        }
+        return np.hstack([moved, *(rise_K * factors_K[factor] / PRODUCT_UNIT_K for factor in self.products)])
+
 
 def history_inputs(
     layout: InputLayout, t_s: Floats, temperature_degC: Floats, speed_rpm: Floats | None = None
 ) -> Floats:
-    """Inputs (n, inputs) of one unbroken recording, with filters that start at rest on its first row."""
+    """Running inputs (n, running) of one unbroken recording, with filters that start at rest on its first row."""
     signals = layout.signals(temperature_degC, speed_rpm)
     if not layout.time_constants_s:
         return layout.inputs(signals, np.empty((len(signals), 0, signals.shape[1])))
@@ -228,7 +275,7 @@ def history_inputs(
 
 
 def recorded_inputs(layout: InputLayout, temperatures: Temperatures, duty: Duty | None) -> tuple[Floats, Floats]:
-    """Times (n,) and inputs (n, k) of an unbroken recording, gaps bridged, with filters at rest at its start.
+    """Times (n,) and running inputs (n, running) of an unbroken recording, gaps bridged; filters start at rest.
 
     Raises AnalysisError for a sensor without a column, and where the layout has speeds and the duty has none.
     """

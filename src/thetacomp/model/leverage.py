@@ -66,12 +66,19 @@ class Leverage:
         return leverage
 
     def of_inputs(self, kept: Sequence[int]) -> Leverage:
-        """The same shape seen in some of the inputs."""
+        """The same training seen in some of the inputs: their own second moments, and the directions of these.
+
+        Leaving columns out of the directions would leave them short, and every row far away.
+        """
+        directions = np.array(self.directions).reshape(len(self.directions), len(self.scale))[:, list(kept)]
+        moments, vectors = np.linalg.eigh(directions.T @ (directions * np.array(self.moments)[:, None]))
+        led = moments > (1e-14 * moments.max(initial=0.0) if self.floor is None else self.floor)
         return replace(
             self,
             centre=tuple(self.centre[j] for j in kept),
             scale=tuple(self.scale[j] for j in kept),
-            directions=tuple(tuple(direction[j] for j in kept) for direction in self.directions),
+            directions=tuple(tuple(vector) for vector in vectors[:, led].T.tolist()),
+            moments=tuple(moments[led].tolist()),
         )
 
 

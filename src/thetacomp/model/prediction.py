@@ -187,7 +187,7 @@ class Recording:
         parts = []
         for start in range(0, max(len(t_s), 1), BLOCK):
             now = inputs.unbridged_at(t_s[start : start + BLOCK])
-            parts.append(law.at(now - law.zero, now[:, :sensors]))
+            parts.append(law.at(axis.layout.since(now, law.zero), now[:, :sensors]))
         return joined(parts)
 
     def _inputs_of(self, layout: InputLayout) -> Temperatures:

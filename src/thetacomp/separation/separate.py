@@ -22,6 +22,7 @@ from thetacomp.separation.reference import (
     refuse_reference_in_a_sweep,
 )
 from thetacomp.separation.sweep_fit import ComponentData, ShapeChange, SweepFit, fit_component, shape_change
+from thetacomp.standards.instrument import Instrument
 
 GRID_POINTS = 101
 # The shape test requires strong evidence: with six components and eight states it is made often.
@@ -177,10 +178,11 @@ def _component(
     own_notes = [*notes, *bends]
     settings = campaign.settings
     is_angle = direction not in CARTESIAN
-    if not is_angle and settings.instrument_u_um is not None and fit.noise_sd_um > settings.instrument_u_um:
+    stated_um = Instrument.of(settings).reading_u_um(float(np.ptp(data.position_mm)))
+    if not is_angle and stated_um is not None and fit.noise_sd_um > stated_um:
         own_notes.append(
             f"points scatter by {fit.noise_sd_um:.1f} µm (one standard deviation), more than twice what the stated"
-            f" uncertainty of {settings.instrument_u_um:g} µm (expanded) allows"
+            f" uncertainty of {stated_um:.3g} µm (expanded, at the far end of the travel) allows"
         )
     own_notes += _outlier_notes(data, fit)
     points = campaign.sweeps

@@ -21,6 +21,10 @@ class Instrument:
         """The instrument that `campaign.toml` names."""
         return cls(settings.instrument, settings.instrument_u_um, settings.instrument_u_um_per_m)
 
+    def reading_u_um(self, apart_mm: float = 0.0) -> float | None:
+        """Expanded uncertainty of one reading at a distance of `apart_mm`, in µm; None where none is stated."""
+        return None if self.u_um is None else self.u_um + (self.u_um_per_m or 0.0) * apart_mm / 1000.0
+
     def difference_u_um(self, apart_mm: float = 0.0) -> float | None:
         """Expanded uncertainty of the difference of two readings at a distance of `apart_mm`, in µm.
 
@@ -28,9 +32,8 @@ class Instrument:
         `apart_mm` away. None where `campaign.toml` states no `instrument_u_um`. The mean of several runs is not
         credited: how much of the uncertainty is common to all runs is not known.
         """
-        if self.u_um is None:
-            return None
-        return math.hypot(self.u_um, self.u_um + (self.u_um_per_m or 0.0) * apart_mm / 1000.0)
+        near_um, far_um = self.reading_u_um(), self.reading_u_um(apart_mm)
+        return None if near_um is None or far_um is None else math.hypot(near_um, far_um)
 
     @property
     def statement(self) -> str:

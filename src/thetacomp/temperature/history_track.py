@@ -9,24 +9,32 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign
-from thetacomp.model.filters import SPEED, InputLayout, recorded_inputs
+from thetacomp.model.filters import LEVEL_CAMPAIGNS, SPEED, InputLayout, recorded_inputs
 from thetacomp.model.temperatures import between_samples
 
 
 @dataclass(frozen=True)
 class HistoryTrack:
-    """Inputs (n, k) of one campaign at the samples `t_s` (n,), and their values at the reference (k,)."""
+    """Running inputs (n, k) of one campaign at the samples `t_s` (n,), and their values at the reference (k,).
 
+    Without a `layout` there are none.
+    """
+
+    layout: InputLayout | None
     t_s: Floats
     inputs: Floats
     reference: Floats
 
     def at(self, t_s: Floats) -> Floats:
-        """Differences from the reference at other times, (len(t_s), k): linear between samples."""
-        return self.absolute(t_s) - self.reference
+        """All inputs of the layout since the reference at other times, (len(t_s), inputs): linear between samples."""
+        return self.since(self.absolute(t_s))
+
+    def since(self, absolute: Floats) -> Floats:
+        """All inputs of the layout since the reference, from running inputs (n, k)."""
+        return self.layout.since(absolute, self.reference) if self.layout is not None else absolute
 
     def absolute(self, t_s: Floats) -> Floats:
-        """The inputs themselves at other times, (len(t_s), k): held at the ends."""
+        """The running inputs at other times, (len(t_s), k): held at the ends."""
         return between_samples(self.t_s, self.inputs, t_s)
 
 
@@ -43,7 +51,10 @@ def history_layout(campaigns: Sequence[Campaign]) -> InputLayout | None:
         return None
     with_speed = all(c.duty is not None and SPEED in c.duty.columns for c in campaigns)
     return InputLayout(
-        sensors=sensors, base_degC=float(np.mean(starts[0][known])), speed_powers=(1, 2) if with_speed else ()
+        sensors=sensors,
+        base_degC=float(np.median(starts[:, known], axis=1).mean()),
+        speed_powers=(1, 2) if with_speed else (),
+        products=("median", "level") if len(campaigns) >= LEVEL_CAMPAIGNS else ("median",),
     )
 
 
@@ -51,5 +62,5 @@ def history_track(campaign: Campaign, layout: InputLayout, zero_t_s: Floats) -> 
     """Run the filters over a campaign; at rest on its first sample or on that of what came before."""
     t_s, inputs = recorded_inputs(layout, *campaign.recording())
     own = t_s >= campaign.temperatures.t_s[0]
-    track = HistoryTrack(t_s[own], inputs[own], np.zeros(inputs.shape[1]))
+    track = HistoryTrack(layout, t_s[own], inputs[own], np.zeros(inputs.shape[1]))
     return replace(track, reference=track.absolute(zero_t_s).mean(axis=0))

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from thetacomp.arrays import Floats, Ints
-from thetacomp.model.filters import InputLayout
 from thetacomp.temperature.history_track import HistoryTrack
 
-# below the shortest lag of 480 s, so that no swing of it is missed
+# below the shortest lag of 900 s, so that no swing of it is missed
 LONGEST_STEP_S = 300.0
 
 
@@ -36,14 +35,12 @@ class Trajectory:
         return Trajectory(self.campaign[kept], self.t_s[kept], self.inputs[kept])
 
 
-def measured_trajectory(
-    track: HistoryTrack, layout: InputLayout | None, campaign: int, measured_s: Floats
-) -> Trajectory:
+def measured_trajectory(track: HistoryTrack, campaign: int, measured_s: Floats) -> Trajectory:
     """One campaign with states at `measured_s` (n,): those moments, and others so that no step is above 300 s."""
     t_s = _filled(np.unique(measured_s))
     absolute = track.absolute(t_s)
-    sensors = len(layout.sensors) if layout is not None else 0
-    inputs = np.hstack([absolute - track.reference, absolute[:, :sensors]])
+    sensors = len(track.layout.sensors) if track.layout is not None else 0
+    inputs = np.hstack([track.since(absolute), absolute[:, :sensors]])
     known = np.isfinite(inputs).all(axis=1)
     return Trajectory(np.full(int(known.sum()), campaign), t_s[known], inputs[known])
 

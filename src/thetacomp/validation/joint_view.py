@@ -27,7 +27,7 @@ def with_drift(
         return states, dict(procedures)
     samples = tuple(replace(s, value_um=s.value_um + s.drift_um) for s in states.samples)
     view = replace(states, samples=samples)
-    return view, {name: _Both(view, drift, procedure) for name, procedure in procedures.items()}
+    return view, {name: _Both(states, drift, procedure) for name, procedure in procedures.items()}
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def _nearest_rows(states: AxisStates, drift: AxisStates) -> Ints:
 
 
 class _Both:
-    """A procedure that fits the axis and, without the states held out with it, the drift."""
+    """A procedure that fits the axis alone and, without the states held out with it, the drift."""
 
     def __init__(self, states: AxisStates, drift: AxisStates, procedure: AnyProcedure) -> None:
         self._states, self._drift, self._procedure = states, drift, procedure
@@ -68,7 +68,16 @@ class _Both:
         if any(f"D{name[1]}" not in self._drift.components for name in training.components):
             raise AnalysisError(f"axis {training.axis}: the drift was not measured in all of its directions.")
         rows = _drift_rows(self._states, training, self._drift)
-        return _BothModels(self._procedure(training), self._procedure(self._drift.take(rows)), self._drift)
+        own = self._procedure(_without_drift(self._states, training))
+        return _BothModels(own, self._procedure(self._drift.take(rows)), self._drift)
+
+
+def _without_drift(states: AxisStates, training: AxisStates) -> AxisStates:
+    """The training states with their samples as the axis alone makes them, which its band is calibrated on."""
+    kept = set(zip(training.campaign.tolist(), training.t_s.tolist(), strict=True))
+    of_states = zip(states.campaign.tolist(), states.t_s.tolist(), strict=True)
+    rows = np.array([k for k, state in enumerate(of_states) if state in kept], dtype=np.int64)
+    return replace(states.take(rows), rise_K=training.rise_K)
 
 
 def _drift_rows(states: AxisStates, training: AxisStates, drift: AxisStates) -> Ints:

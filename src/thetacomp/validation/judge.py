@@ -21,6 +21,7 @@ from thetacomp.validation.acceptance import (
     fit_for_use,
     in_words,
 )
+from thetacomp.validation.harm import harm_notes
 from thetacomp.validation.joint_view import with_drift
 from thetacomp.validation.outcome import (
     ALL_SENSORS,
@@ -91,7 +92,7 @@ def judge(prepared: Prepared, trained: Trained, progress: Progress = lambda mess
     static = (
         acceptance_of_static_law(known, known_rows, permutations, trained.model) if trained.model.prediction else ()
     )
-    notes += _clock_notes(known_rows)
+    notes += [*harm_notes(known), *_clock_notes(known_rows)]
     model = with_verdict(trained.model, known_rows, _failed(acceptance), _failed(static), notes)
     return Judged(model, tuple(rows), tuple(by_state), permutations, acceptance)
 
@@ -112,17 +113,23 @@ def verdict_in_words(acceptance: Sequence[AcceptanceCheck]) -> str:
     return f"not fit for use: {len(_failed(acceptance))} of {len(acceptance)} acceptance checks failed"
 
 
-def _held_out(prepared: Prepared, trained: Trained, task: AxisTask) -> tuple[AxisStates, tuple[Residuals, ...]]:
-    """Residuals of one axis, held out by its main split and forward in time, and the states that they belong to."""
-    made, states = trained.procedures, task.states
+def judged_procedures(prepared: Prepared, trained: Trained, states: AxisStates) -> dict[str, AnyProcedure]:
+    """What an axis is judged by: the default as it is stored, the law on key points beside it, and the baselines."""
+    made = trained.procedures
     procedures: dict[str, AnyProcedure] = {DEFAULT: made.key_points}
     if states.axis in trained.model.prediction:
         procedures = {DEFAULT: made.history, KEY_POINTS: made.key_points}
     procedures |= {CLOCK: clock, ONE_SENSOR: made.paper, ALL_SENSORS: all_sensors}
     if prepared.folder.campaign(states.campaigns[0]).settings.datum == "common":
         procedures[TRAINING_MEAN] = training_mean
+    return procedures
+
+
+def _held_out(prepared: Prepared, trained: Trained, task: AxisTask) -> tuple[AxisStates, tuple[Residuals, ...]]:
+    """Residuals of one axis, held out by its main split and forward in time, and the states that they belong to."""
+    states = task.states
     # In the joint form a point of a sweep is judged with the drift of its moment: the whole error of the tool.
-    judged, procedures = with_drift(states, prepared.everything, procedures)
+    judged, procedures = with_drift(states, prepared.everything, judged_procedures(prepared, trained, states))
     forward = _new_folds(forward_in_time(states), task.folds)
     splits = [(kind, some) for kind, some in ((task.split, task.folds), (FORWARD, forward)) if some]
     return judged, tuple(r for kind, some in splits for r in held_out_residuals(judged, kind, some, procedures))

@@ -29,7 +29,7 @@ class AxisTask:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Held-out samples of one component and model: error before and after in µm, (n,), with state and campaign.
+    """Held-out samples of one component and model, (n,): error before and after in µm, state, campaign and position.
 
     `half_width_um` is the model's 95 % interval, NaN where the model states none.
     """
@@ -39,6 +39,7 @@ class Residuals:
     split: str
     state: Ints
     campaign: Ints
+    position_mm: Floats
     before_um: Floats
     after_um: Floats
     half_width_um: Floats
@@ -70,8 +71,9 @@ def _nothing(states: AxisStates, split: str, component: int, tested: Ints) -> Re
     value = samples.value_um[chosen]
     nan = np.full(len(value), np.nan)
     state = samples.state[chosen]
+    at_mm = _position_mm(states, samples.lever_m[chosen])
     return Residuals(
-        states.components[component], NOTHING, split, state, states.campaign[state], value, value, nan, value
+        states.components[component], NOTHING, split, state, states.campaign[state], at_mm, value, value, nan, value
     )
 
 
@@ -104,11 +106,16 @@ def _residuals(
         split=split,
         state=state,
         campaign=states.campaign[state],
+        position_mm=_position_mm(states, samples.lever_m[rows][known]),
         before_um=value[known],
         after_um=(value - predicted)[known],
         half_width_um=half_width[known],
         in_sample_um=(value - flattering)[known],
     )
+
+
+def _position_mm(states: AxisStates, lever_m: Floats) -> Floats:
+    return states.p0_mm + 1000.0 * lever_m
 
 
 def _judged(states: AxisStates, samples: Samples, tested: Ints) -> Bools:

@@ -17,16 +17,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from thetacomp.arrays import Floats
 from thetacomp.verification.outcome import Share, ShareKind
 from thetacomp.verification.runs import RunPoints
 
+NAN = float("nan")
 DRAWS = 1000
 MIN_STATES = 4  # with fewer sweeps the rest of a line fit is next to nothing, and so would be the interval
 MOST_DRAWN_VALUES = 4_000_000  # a long drift record gets fewer draws, not more memory
 MAX_CORRELATION = 0.9
+SURE = 0.99
 LIMITS_PERCENT = (2.5, 97.5)
+WITHIN_ONE_SD_PERCENT = (15.87, 84.13)
 ALL, INTERCEPT, SLOPE = "all", "intercept", "slope"
 SPECIAL: tuple[tuple[float, ShareKind], ...] = (
     (-1.0, "reversed"),
@@ -126,17 +130,20 @@ def shares(
     both = min(sizes[INTERCEPT], sizes[SLOPE]) >= least_um
     out = []
     draws = draws_for(off, on)
+    # One campaign cannot tell heat from time: of another course of heat its law proves nothing.
+    foreign = off.law_campaigns == 1 and not _same_heat(off, on)
     split = (fit_run(off, separate_parts=True), fit_run(on, separate_parts=True)) if both else None
     for separate_parts in (False, True) if both else (False,):
         fits = split if separate_parts and split else (fit_run(off, False), fit_run(on, False))
         drawn = [_gains(fit, repeated_runs(fit, rng, draws)) - fit.gains for fit in fits]
-        transfer = _transfer(fits[0], fits[1])[:, None] * rng.standard_t(_freedom(*fits), draws)
+        transfer_sd, freedom = _transfer(fits[0], fits[1]), _freedom(*fits)
+        transfer = transfer_sd[:, None] * rng.standard_t(freedom, draws)
         # What no share explains is judged with intercept and slope free, so that one reversed register is no riddle.
         rests = split or fits
         for k, part in enumerate(fits[0].parts):
             value = float(fits[0].gains[k] - fits[1].gains[k])
-            deviation = drawn[0][:, k] - drawn[1][:, k] + transfer[k]
-            low, high = (value - float(np.percentile(deviation, q)) for q in reversed(LIMITS_PERCENT))
+            repeated = drawn[0][:, k] - drawn[1][:, k]
+            low, high = (value - float(np.percentile(repeated + transfer[k], q)) for q in reversed(LIMITS_PERCENT))
             if not enough_states(off, on):
                 low, high = -np.inf, np.inf
             material = sizes[part] >= least_um
@@ -150,9 +157,12 @@ def shares(
                     size_um=sizes[part],
                     expected_rms_um=float(np.sqrt(np.mean(on.expected_um**2))),
                     unexplained_um=rests[1].rest_um,
-                    usual_um=rests[0].rest_um * _unflattered(rests[0]),
+                    usual_um=NAN if foreign else max(rests[0].rest_um * _unflattered(rests[0]), off.left_um),
                     material=material,
                     kind=classify(value, low, high),
+                    sd=NAN if foreign else float(np.hypot(transfer_sd[k], _sd(repeated))),
+                    freedom=freedom,
+                    chance=_chance(*rests),
                 )
             )
     return tuple(out)
@@ -160,8 +170,13 @@ def shares(
 
 def classify(value: float, low: float, high: float) -> ShareKind:
     """Name a share by its interval; "unclear" where the interval is too wide to decide between cases."""
-    possible = [(centre, kind) for centre, kind in SPECIAL if low - MARGIN <= centre <= high + MARGIN]
-    if high - low > WIDEST or len(possible) > 1:
+    return "unclear" if high - low > WIDEST else named_share(value, low - MARGIN, high + MARGIN)
+
+
+def named_share(value: float, low: float, high: float) -> ShareKind:
+    """The only case that an interval holds, or what lies between the cases; "unclear" where it holds several."""
+    possible = [(centre, kind) for centre, kind in SPECIAL if low <= centre <= high]
+    if len(possible) > 1:
         return "unclear"
     if possible:
         centre, kind = possible[0]
@@ -169,6 +184,18 @@ def classify(value: float, low: float, high: float) -> ShareKind:
     if value < 0.0:
         return "reversed"
     return "partly" if value < 1.0 else "too strong"
+
+
+def _sd(drawn: Floats) -> float:
+    """Standard deviation of drawn values (n,), from their percentiles: Student's t has far tails."""
+    low, high = np.percentile(drawn, WITHIN_ONE_SD_PERCENT)
+    return float(high - low) / 2.0
+
+
+def _chance(off: Fit, on: Fit) -> float:
+    """Largest ratio of the rests of two runs, on to off, that chance makes (F distribution of their states)."""
+    own, other = (max(len(fit.rest) - len(fit.parts), 1) for fit in (on, off))
+    return float(np.sqrt(special.fdtri(own, other, SURE)))
 
 
 def _gains(fit: Fit, values: Floats) -> Floats:

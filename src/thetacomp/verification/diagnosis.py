@@ -14,6 +14,7 @@ from thetacomp.verification.outcome import (
     CauseKind,
     Check,
     HarmMap,
+    PooledShare,
     RunFacts,
     Share,
     ShareKind,
@@ -102,8 +103,9 @@ def causes(
     shares: Sequence[Share],
     machine: Machine,
     model_mode: str | None,
+    pooled: Sequence[PooledShare] = (),
 ) -> tuple[Cause, ...]:
-    """The causes of a no-go; none where every check is passed.
+    """The causes of a no-go; none where every check is passed. `pooled` are shares of several components together.
 
     Where the operating modes differ nothing is concluded from the shares: another mode imitates any of them.
     """
@@ -125,16 +127,9 @@ def causes(
             )
         )
     if "operating mode" not in failed:
-        out += _share_causes(shares, machine)
+        out += _share_causes(shares, machine, pooled)
     if not out:
-        failures = "; ".join(f"{check.name}: {check.found}" for check in checked if not check.passed)
-        text = (
-            "no wrong sign or size of the correction is visible, so the model does not follow this run well"
-            if shares
-            else "without an error that the temperatures explain, no cause can be found"
-        )
-        fix = "look at the figures by position and time; train with this kind of duty as well, and verify again."
-        out.append(Cause("model", (), f"{text} ({failures})", fix))
+        out.append(_unknown_cause([check for check in checked if not check.passed], shares))
     return tuple(out)
 
 
@@ -147,11 +142,22 @@ def remarks(shares: Sequence[Share], go: bool) -> tuple[str, ...]:
     )
 
 
+def undecided(shares: Sequence[Share]) -> tuple[str, ...]:
+    """What a go does not prove: a note where the applied share of some components stays open."""
+    names = [_label(share) for share in _judged(shares) if share.kind == "unclear"]
+    if not names:
+        return ()
+    return (
+        f"{', '.join(names)}: the applied share stays open: its 95 % interval holds several of the cases right, not"
+        " active, reversed and doubled",
+    )
+
+
 def not_followed(share: Share) -> bool:
     """True where no constant share explains the residual of a component."""
     return (
         share.unexplained_um > RELATION_SHARE * share.expected_rms_um
-        and share.unexplained_um > RELATION_GROWTH * share.usual_um
+        and share.unexplained_um > max(RELATION_GROWTH, share.chance) * share.usual_um
     )
 
 
@@ -275,7 +281,26 @@ def _tables_cause(off: RunFacts, on: RunFacts) -> Cause:
     )
 
 
-def _share_causes(shares: Sequence[Share], machine: Machine) -> list[Cause]:
+def _unknown_cause(failed: Sequence[Check], shares: Sequence[Share]) -> Cause:
+    """What can be said where neither conditions nor shares name a cause."""
+    fix = "look at the figures by position and time; train with this kind of duty as well, and verify again."
+    if not shares:
+        text = "without an error that the temperatures explain, no cause can be found"
+    elif {share.kind for share in _judged(shares)} == {"unclear"}:
+        text = (
+            "the model follows these runs too poorly to tell whether the correction arrives, and with which sign: no"
+            " applied share is known"
+        )
+        fix = (
+            "prove the sign by the sign test of the commissioning sheet; train with more campaigns and this kind of"
+            " duty, and verify again."
+        )
+    else:
+        text = "no wrong sign or size of the correction is visible, so the model does not follow this run well"
+    return Cause("model", (), f"{text} ({'; '.join(f'{check.name}: {check.found}' for check in failed)})", fix)
+
+
+def _share_causes(shares: Sequence[Share], machine: Machine, pooled: Sequence[PooledShare]) -> list[Cause]:
     judged = _judged(shares)
     kinds: dict[CauseKind, list[Share]] = {
         "reversed": [],
@@ -296,14 +321,9 @@ def _share_causes(shares: Sequence[Share], machine: Machine) -> list[Cause]:
     for kind, found in kinds.items():
         if found:
             what, fix = _WORDS[kind]
-            out.append(
-                Cause(
-                    kind,
-                    tuple(_label(s) for s in found),
-                    f"{_who(found, judged, machine)}: {what} ({_figures(kind, found)})",
-                    fix,
-                )
-            )
+            figures = "; ".join([_figures(kind, found), *(_together(group) for group in pooled if group.kind == kind)])
+            text = f"{_who(found, judged, machine)}: {what} ({figures})"
+            out.append(Cause(kind, tuple(_label(s) for s in found), text, fix))
     return out
 
 
@@ -311,7 +331,20 @@ def _label(share: Share) -> str:
     return share.component if share.part == ALL else f"{share.part} of {share.component}"
 
 
-def _interval(share: Share) -> str:
+def _together(group: PooledShare) -> str:
+    directions, axes = ({name[part] for name in group.components} for part in (slice(1, 2), slice(2, None)))
+    one = "those in " + directions.pop() if len(directions) == 1 else _group_of_axis(axes)
+    return f"{one} together {_interval(group)}"
+
+
+def _group_of_axis(axes: set[str]) -> str:
+    if len(axes) > 1:
+        return "all"
+    axis = axes.pop()
+    return f"those of axis {axis}" if axis else "those of the drift"
+
+
+def _interval(share: Share | PooledShare) -> str:
     return f"{share.value:.2f} (95 %: {share.low:.2f} to {share.high:.2f})"
 
 

@@ -55,8 +55,11 @@ class Share:
 
     `part` is "all", "intercept" or "slope"; `size_um` the largest uncompensated error of that part at the heat of the
     run with compensation on. `expected_rms_um` is the RMS of that error of the whole component, `unexplained_um` the
-    RMS that no constant share explains, `usual_um` the same with compensation off. `material` says that the part is
-    large enough to judge.
+    RMS that no constant share explains, `usual_um` the same with compensation off, and at least what the law leaves of
+    campaigns that it has not seen. `material` says that the part is large enough to judge. `sd` is the standard
+    deviation of the share, known with `freedom` degrees of freedom. `usual_um` and `sd` are NaN where the law comes
+    from one campaign and the heat of the runs followed another course. `chance` is the largest ratio of
+    `unexplained_um` to `usual_um` that few sweeps make by chance.
     """
 
     component: str
@@ -70,6 +73,24 @@ class Share:
     usual_um: float
     material: bool
     kind: ShareKind
+    sd: float
+    freedom: float
+    chance: float
+
+
+@dataclass(frozen=True)
+class PooledShare:
+    """The applied share of several components taken together, with its 95 % interval.
+
+    `named` are those of its `components` whose own interval cannot decide and whose share lies near this kind.
+    """
+
+    components: tuple[str, ...]
+    value: float
+    low: float
+    high: float
+    kind: ShareKind
+    named: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -175,6 +196,7 @@ class VerificationResult:
     heat_ratio: float
     rows: tuple[BeforeAfter, ...]
     shares: tuple[Share, ...]
+    pooled: tuple[PooledShare, ...]
     harm: tuple[HarmMap, ...]
     straightness: tuple[Straightness, ...]
     squareness: tuple[Squareness, ...]
@@ -188,6 +210,13 @@ class VerificationResult:
     def go(self) -> bool:
         """True where every check is passed."""
         return all(check.passed for check in self.checks)
+
+    @property
+    def verdict(self) -> str:
+        """GO or NO-GO in words; a go says how many notes limit it."""
+        count = len(self.notes)
+        limited = f" WITH {count} NOTE{'S' if count > 1 else ''}" if count else ""
+        return f"GO{limited}" if self.go else "NO-GO"
 
 
 def listed(names: Sequence[str]) -> str:

@@ -12,6 +12,7 @@ from thetacomp.axis_states import AxisStates
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.separation import ComponentSeparation
+from thetacomp.verification.expected_error import Expected
 from thetacomp.verification.outcome import RunFacts
 
 
@@ -20,8 +21,9 @@ class RunPoints:
     """Thermal error of one component in one run, n points in K heated states; states count from 0 in order of time.
 
     `campaign` (K,) and `t_s` (K,) belong to the states. `intercept_um` and `slope_um_per_m`, each (n,), are the
-    uncompensated error expected from the temperatures at each point, NaN where none is known. `zero_sd` is the
-    standard deviation (µm, µm/m) of the cold line that all states of a campaign are counted from.
+    uncompensated error expected from the temperatures at each point, NaN where none is known. Their law was fitted to
+    `law_campaigns` and leaves `left_um` (RMS) of data it has not seen (0: not known). `zero_sd` is the standard
+    deviation (µm, µm/m) of the cold line that all states of a campaign are counted from.
     """
 
     state: Ints
@@ -33,6 +35,8 @@ class RunPoints:
     t_s: Floats
     intercept_um: Floats
     slope_um_per_m: Floats
+    left_um: float = 0.0
+    law_campaigns: int = 0
     zero_sd: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -83,19 +87,17 @@ def chosen(folder: MachineFolder, off: Sequence[str], on: Sequence[str]) -> tupl
     return runs
 
 
-def run_points(
-    states: AxisStates, component: int, names: Sequence[str], expected: tuple[Floats, Floats]
-) -> RunPoints | None:
+def run_points(states: AxisStates, component: int, names: Sequence[str], expected: Expected) -> RunPoints | None:
     """Points of one component in the heated states of the named campaigns; None where there are none.
 
-    `expected` holds intercept (µm) and slope (µm/m) for every sample of the component.
+    `expected` holds what is expected for every sample of the component.
     """
     samples = states.samples[component]
     numbers = [k for k, name in enumerate(states.campaigns) if name in set(names)]
     heated = ~states.cold if states.exact_zero else np.ones(len(states), dtype=np.bool_)
     wanted = np.isin(states.campaign, numbers) & heated
     rows = np.flatnonzero(wanted[samples.state])
-    finite = np.isfinite(expected[0][rows]) & np.isfinite(expected[1][rows])
+    finite = np.isfinite(expected.intercept_um[rows]) & np.isfinite(expected.slope_um_per_m[rows])
     if finite.any():
         # A gap of the temperatures leaves some points without an expected error: the others carry the comparison.
         rows = rows[finite]
@@ -111,8 +113,10 @@ def run_points(
         noise_sd_um=float(np.sqrt(np.mean(samples.noise_sd_um[rows] ** 2))),
         campaign=states.campaign[present],
         t_s=states.t_s[present],
-        intercept_um=expected[0][rows],
-        slope_um_per_m=expected[1][rows],
+        intercept_um=expected.intercept_um[rows],
+        slope_um_per_m=expected.slope_um_per_m[rows],
+        left_um=expected.left_um,
+        law_campaigns=expected.campaigns,
     )
 
 

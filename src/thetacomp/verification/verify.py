@@ -21,12 +21,14 @@ from thetacomp.errors import AnalysisError
 from thetacomp.model.document import ModelDocument
 from thetacomp.screening.campaigns import screened
 from thetacomp.separation import ComponentSeparation, separate_campaign
+from thetacomp.standards.instrument import Instrument
 from thetacomp.verification.applied_share import shares
 from thetacomp.verification.before_after import before_after, over_points, over_states, state_line
-from thetacomp.verification.diagnosis import causes, checks, remarks
+from thetacomp.verification.diagnosis import causes, checks, remarks, undecided
 from thetacomp.verification.expected_error import expected_from_fit, expected_from_model
 from thetacomp.verification.harm import harm_map
 from thetacomp.verification.outcome import HarmMap, Share, StateLine, VerificationResult
+from thetacomp.verification.pooled_share import with_pooled
 from thetacomp.verification.runs import (
     RunPoints,
     chosen,
@@ -71,7 +73,7 @@ def verify_folder(
     progress("relating temperatures and error with compensation off")
     pairs, notes = _pairs(folder, separations, off, on, model)
     sizes = {name: max(_size_um(pair[0]), _expected_um(pair[1])) for name, pair in pairs.items()}
-    least_um = max(_instrument_um(runs), MATERIAL_SHARE * max(sizes.values(), default=0.0))
+    smallest_um = MATERIAL_SHARE * max(sizes.values(), default=0.0)
 
     progress("comparing off and on")
     rng = np.random.default_rng(SEED)
@@ -79,9 +81,10 @@ def verify_folder(
     found_shares: list[Share] = []
     for name, (run_off, run_on) in pairs.items():
         rows.append(before_after(name, run_off, run_on, over_points, rng))
-        noise_um = NOISE_SIGMA * run_on.noise_sd_um
-        found_shares += shares(name, run_off, run_on, max(least_um, noise_um), rng)
-        harm.append(_harm(name, (run_off, run_on), max(_instrument_um(runs), noise_um), sizes))
+        unseen_um = max(_instrument_um(runs, run_on), NOISE_SIGMA * run_on.noise_sd_um)
+        found_shares += shares(name, run_off, run_on, max(smallest_um, unseen_um), rng)
+        harm.append(_harm(name, (run_off, run_on), unseen_um, sizes))
+    told_shares, pooled = with_pooled(found_shares)
     columns = _columns(folder, pairs)
     rows += [before_after(label, *pairs[name], over_states, rng) for label, name in columns]
 
@@ -89,8 +92,8 @@ def verify_folder(
     ratio = _heat_ratio(pairs)
     maps = tuple(one for one in harm if one is not None)
     model_mode = model.training.mode if model is not None else None
-    checked = checks(fact_off, fact_on, rows, found_shares, maps, ratio, model_mode)
-    found_causes = causes(checked, fact_off, fact_on, found_shares, folder.machine, model_mode)
+    checked = checks(fact_off, fact_on, rows, told_shares, maps, ratio, model_mode)
+    found_causes = causes(checked, fact_off, fact_on, told_shares, folder.machine, model_mode, pooled)
     return VerificationResult(
         machine=folder.machine,
         off=fact_off,
@@ -98,7 +101,8 @@ def verify_folder(
         pattern=f"model of {model.created[:10]}" if model is not None else "fit to the run with compensation off",
         heat_ratio=ratio,
         rows=tuple(rows),
-        shares=tuple(found_shares),
+        shares=told_shares,
+        pooled=pooled,
         harm=maps,
         straightness=straightness(folder.machine, separations, off, on),
         squareness=squareness(folder.machine, separations, off, on),
@@ -106,7 +110,13 @@ def verify_folder(
         states_on=_lines(pairs, columns, 1),
         checks=checked,
         causes=found_causes,
-        notes=(*screening.notes, *notes, *_unstated(runs), *remarks(found_shares, go=not found_causes)),
+        notes=(
+            *screening.notes,
+            *notes,
+            *_unstated(runs),
+            *remarks(told_shares, go=not found_causes),
+            *(undecided(told_shares) if not found_causes else ()),
+        ),
     )
 
 
@@ -170,9 +180,11 @@ def _common(
     return everywhere
 
 
-def _instrument_um(runs: tuple[list[Campaign], list[Campaign]]) -> float:
-    """Largest stated expanded uncertainty of a point; 0 where none is stated."""
-    return max((c.settings.instrument_u_um or 0.0) for campaigns in runs for c in campaigns)
+def _instrument_um(runs: tuple[list[Campaign], list[Campaign]], points: RunPoints) -> float:
+    """Largest stated expanded uncertainty of a point at the far end of the travel; 0 where none is stated."""
+    travel_mm = 1000.0 * float(np.ptp(points.lever_m))
+    stated = [Instrument.of(c.settings).reading_u_um(travel_mm) for campaigns in runs for c in campaigns]
+    return max(known or 0.0 for known in stated)
 
 
 def _size_um(run: RunPoints) -> float:

@@ -108,7 +108,7 @@ def columns_of(states: AxisStates, inputs: str) -> tuple[Ints, Ints]:
     if inputs == LAGS:
         if states.layout is None:
             raise AnalysisError(f"axis {states.axis or 'drift'}: no sensor was read in all campaigns.")
-        value, group = states.history, _groups(states)
+        value, group = states.history, np.unique(states.layout.groups, return_inverse=True)[1]
     else:
         value, group = states.rise_K, np.arange(states.rise_K.shape[1])
     known = np.isfinite(value)
@@ -117,15 +117,6 @@ def columns_of(states: AxisStates, inputs: str) -> tuple[Ints, Ints]:
     if not len(columns):
         raise AnalysisError(f"axis {states.axis or 'drift'}: no sensor was read in all campaigns.")
     return columns, group[columns]
-
-
-def _groups(states: AxisStates) -> Ints:
-    """Group of every column of the history: a sensor with all its lags, or a power of the speed with all its lags."""
-    assert states.layout is not None
-    sensors = len(states.layout.sensors)
-    lags, powers = len(states.layout.time_constants_s), len(states.layout.speed_powers)
-    own = np.tile(np.arange(sensors), 1 + lags)
-    return np.concatenate([own, sensors + np.repeat(np.arange(2 * powers), lags)])
 
 
 def state_rows(states: AxisStates, columns: Ints, inputs: str) -> Rows:
