@@ -61,7 +61,7 @@ ROOMS = {
     "controllers": Room(("controllers",), ("controllers",), "machine_folder"),
     "standards": Room(("standards",), ("standards",)),
     "labels": Room(
-        ("screening/campaign_labels.py", "screening/held_labels.py"),
+        ("screening/campaign_labels.py", "instrument.py"),
         ("screening/test_screening_labels.py",),
     ),
     "tracker": Room(("tracker",), ("tracker",)),

@@ -14,6 +14,7 @@ from thetacomp.axis_states import AxisStates, axis_states
 from thetacomp.campaign import MachineFolder
 from thetacomp.campaign_conditions import condition_notes, refuse_mixtures
 from thetacomp.errors import AnalysisError
+from thetacomp.reading.clock import clock_notes
 from thetacomp.screening.campaigns import ScreenedFolder, screened
 from thetacomp.separation import ComponentSeparation, Separated, separate_all
 from thetacomp.separation.reference import cold_block_notes
@@ -95,7 +96,11 @@ def prepare(
             " Fix: put sweeps.csv, parameters.csv or drift.csv into a campaign."
         )
     everything, training = _states(folder, separated.components, train, test)
-    measured = [*condition_notes(campaigns), *(note for campaign in campaigns for note in cold_block_notes(campaign))]
+    measured = [
+        *condition_notes(campaigns),
+        *clock_notes(campaigns),
+        *(note for campaign in campaigns for note in cold_block_notes(campaign)),
+    ]
     measured += [f"campaign {s.campaign}, {s.component}: {note}" for s in separated.components for note in s.notes]
     notes = (*mixed, *dict.fromkeys(measured), *separated.notes, *_dropped_notes(separated.components, everything))
     return Prepared(

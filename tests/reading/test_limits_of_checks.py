@@ -135,9 +135,9 @@ def test_a_jump_is_more_than_two_kelvin_and_faster_than_one_a_minute(
 
 @pytest.mark.parametrize(
     ("step_s", "gap_s", "doubt"),
-    [(60.0, 600.0, False), (60.0, 601.0, True), (30.0, 599.0, False), (600.0, 6000.0, False), (600.0, 6001.0, True)],
+    [(60.0, 600.0, False), (60.0, 601.0, True), (30.0, 599.0, False), (600.0, 1800.0, False), (600.0, 1801.0, True)],
 )
-def test_a_gap_is_ten_steps_and_ten_minutes(tmp_path: Path, step_s: float, gap_s: float, doubt: bool) -> None:
+def test_a_gap_is_three_steps_and_ten_minutes(tmp_path: Path, step_s: float, gap_s: float, doubt: bool) -> None:
     rows = heat_rows(20, step_s)
     for row in rows[11:]:
         row[0] = float(row[0]) + gap_s - step_s  # type: ignore[arg-type]
@@ -265,6 +265,36 @@ def test_one_time_for_several_points_is_doubtful_and_for_one_place_wrong(tmp_pat
     rows = with_cell(sweep([0.0, 500.0, 500.0, 1000.0]), 3, 0, 30.0)
     (wrong,) = told(tmp_path / "b", "time-duplicate", sweeps=rows, drift=None)
     assert (wrong.severity, wrong.row) == ("error", 4)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_clock_of_whole_minutes_may_stamp_both_ways_at_the_turn_alike(tmp_path: Path, given: bool) -> None:
+    """Out and back with readings each 30 s: the turning point is read twice within one minute, once from each side."""
+    places = [0.0, 250.0, 500.0, 750.0, 1000.0]
+    rows = sweep([*places, *places[::-1]])
+    for i, row in enumerate(rows[1:]):
+        row[0] = 60.0 * (i // 2) + (60.0 if i % 2 and i != 5 else 0.0)
+    if given:
+        rows[0].append("direction")
+        for i, row in enumerate(rows[1:]):
+            row.append("+" if i < 5 else "-")
+    rows[6][0] = rows[5][0]
+    rows[1:] = sorted(rows[1:], key=lambda row: float(str(row[0])))
+    found = told(tmp_path, "time-duplicate", sweeps=rows, drift=None)
+    assert [problem.severity for problem in found] == ["warning"]
+
+
+def test_a_probe_that_hung_and_one_that_never_moves_are_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows: Rows = [["t_s", "dX_um", "dY_um"]]
+    rows += [[60.0 * i, round(0.1 * i + rng.normal(0.0, 0.4), 2), 3.0] for i in range(300)]
+    for row in rows[101:141]:
+        row[1] = rows[101][1]
+    (hung,) = told(tmp_path / "a", "error-frozen", drift=rows)
+    assert (hung.severity, hung.row, hung.column) == ("warning", 103, "dX_um")
+    assert "39 readings are repeated" in hung.message
+    (still,) = told(tmp_path / "b", "error-constant", drift=rows)
+    assert (still.severity, still.column) == ("warning", "dY_um")
 
 
 # --- campaigns --------------------------------------------------------------------------------------------------------

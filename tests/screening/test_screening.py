@@ -25,7 +25,7 @@ from thetacomp.campaign import Campaign, CampaignSettings, MachineFolder
 from thetacomp.errors import AnalysisError
 from thetacomp.machine import Machine, Sensor, SensorRole
 from thetacomp.model.temperatures import Temperatures
-from thetacomp.screening import Detector, Finding, ScreeningModel, find_held_labels, fit_screening, with_fault
+from thetacomp.screening import Detector, Finding, ScreeningModel, fit_screening, with_fault
 from thetacomp.screening.campaigns import screened
 from thetacomp.screening.record import as_read
 from thetacomp.screening.repair import repaired
@@ -281,19 +281,3 @@ def test_screening_runs_without_the_analysis_libraries() -> None:
     subprocess.run(
         [sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     )
-
-
-def test_held_labels() -> None:
-    t_s = 15.0 * np.arange(200)
-    rng = np.random.default_rng(0)
-    label_um = rng.normal(0.0, 0.1, (200, 2))
-    duty = np.where(t_s < 1500.0, 1000.0, 0.0)
-    label_um[120:160, 0] = label_um[120, 0]  # 10 min, standing
-    label_um[20:60, 1] = label_um[20, 1]  # 10 min, running: a quiet probe perhaps, not our case
-    label_um[180:190, 1] = label_um[180, 1]  # 2.5 min: too short
-    held = find_held_labels(label_um, t_s, duty)
-    assert np.flatnonzero(held[:, 0]).tolist() == list(range(121, 160))
-    assert not held[:, 1].any()
-    np.testing.assert_array_equal(find_held_labels(label_um[:, 0], t_s, duty), held[:, 0])
-    with pytest.raises(AnalysisError, match="200, 199 and 200"):
-        find_held_labels(label_um, t_s[1:], duty)

@@ -1,4 +1,4 @@
-"""Held labels: a displacement frozen while the machine stands is left out; a quiet machine and noise-free tables stay.
+"""Held labels: a displacement frozen for longer than its instrument stands still is left out; quiet tables stay.
 
 The frozen stretches are put in, so the expected rows are known.
 """
@@ -16,6 +16,7 @@ from screening_folder import HOUR_S, folder, standing
 
 from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, SweepPoints
+from thetacomp.instrument import frozen as frozen_rows
 from thetacomp.model.temperatures import Duty, Temperatures
 from thetacomp.screening.campaign_labels import labels_note, without_held_labels
 from thetacomp.separation import separate_campaign
@@ -58,8 +59,8 @@ def test_a_displacement_frozen_while_the_machine_cools_is_left_out_and_counted()
     assert out.drift.rotation_urad is None
     assert (entry.table, entry.column, entry.count) == ("drift", "dX_um", END - BEGIN - 1)
     assert labels_note(entry, True) == (
-        "campaign c, drift: 35 values of dX_um are frozen (2.58 to 5.42 h) while the machine is at rest and its"
-        " temperatures change: no measurement. Left out"
+        "campaign c, drift: 35 values of dX_um are frozen (2.58 to 5.42 h) for longer than the instrument ever stands"
+        " still: no measurement. Left out"
     )
     told, entries = without_held_labels(frozen(cooling()), apply=False)
     assert np.isfinite(drift_um(told)).all()
@@ -122,11 +123,6 @@ def test_what_is_left_is_separated_without_the_held_rows() -> None:
 @pytest.mark.parametrize(
     "campaign",
     [
-        pytest.param(frozen(cooling(moves_K=0.3)), id="nothing cools: the machine truly stands still"),
-        pytest.param(replace(frozen(cooling()), duty=None), id="nobody knows when it stood"),
-        pytest.param(
-            replace(frozen(cooling()), duty=Duty(np.zeros(1), {"spindle_rpm": np.full(1, 900.0)})), id="it runs"
-        ),
         pytest.param(frozen(cooling(), BEGIN, BEGIN + 4), id="too short"),
         pytest.param(cooling(noise_um=0.0), id="free of noise, cools"),
         pytest.param(cooling(moves_K=0.0, noise_um=0.0), id="free of noise, rests"),
@@ -138,14 +134,60 @@ def test_what_may_be_a_measurement_stays(campaign: Campaign) -> None:
     assert entries == []
 
 
-def test_a_coarse_probe_is_told_and_believed() -> None:
-    """At 5 µm a digit the readings repeat while the machine runs too: a quiet hour looks the same as a dead probe."""
-    campaign = frozen(cooling(resolution_um=5.0))
-    out, entries = without_held_labels(campaign)
-    assert out is campaign
-    note = labels_note(next(e for e in entries if e.column == "dX_um"), True)
-    assert "they are used as measured, because" in note
-    assert "of the other readings repeat" in note
+@pytest.mark.parametrize(
+    "campaign",
+    [
+        pytest.param(frozen(cooling(moves_K=0.3)), id="at rest too a probe that scatters does not repeat itself"),
+        pytest.param(replace(frozen(cooling()), duty=None), id="nobody knows when the machine stood"),
+        pytest.param(
+            replace(frozen(cooling()), duty=Duty(np.zeros(1), {"spindle_rpm": np.full(1, 900.0)})), id="it runs"
+        ),
+    ],
+)
+def test_the_length_of_the_run_tells_whatever_the_machine_did(campaign: Campaign) -> None:
+    out, (entry,) = without_held_labels(campaign)
+    assert np.flatnonzero(np.isnan(drift_um(out)[:, 0])).tolist() == list(range(BEGIN + 1, END))
+    assert entry.count == END - BEGIN - 1
+
+
+T_S = 10.0 * np.arange(2160)  # six hours
+WARM_UM = 60.0 * (1.0 - np.exp(-T_S / 5400.0))
+
+
+def held_rows(value: Floats) -> list[int]:
+    return np.flatnonzero(frozen_rows(T_S, value)).tolist()
+
+
+def test_labels_frozen_for_five_minutes_and_more_are_found_however_many_there_are() -> None:
+    """Eight stretches of 5 to 14 minutes, 20 % of the record; between them a tenth of the readings repeat."""
+    value = np.round(WARM_UM + np.random.default_rng(4).normal(0.0, 0.4, len(T_S)), 1)
+    expected: list[int] = []
+    for k in range(8):
+        begin, length = 150 + 240 * k, 31 + 8 * k
+        value[begin : begin + length] = value[begin]
+        expected += range(begin + 1, begin + length)
+    found = set(held_rows(value))
+    assert found >= set(expected)
+    assert len(found) <= len(expected) + 4  # the reading behind a stretch may equal it
+    assert len(expected) > 0.2 * len(T_S)
+
+
+def test_a_coarse_probe_and_a_table_without_scatter_stand_still_until_they_catch_up() -> None:
+    """At half a µm a division the reading stays for minutes, at the end for long, as where nothing scatters."""
+    for value in (0.5 * np.round(WARM_UM / 0.5), np.where(T_S < 3600.0, 0.0, WARM_UM - WARM_UM[360])):
+        assert held_rows(value) == []
+    coarse = 0.5 * np.round(WARM_UM / 0.5)
+    coarse[60:420] = coarse[60]  # an hour; 26 µm at once afterwards
+    assert held_rows(coarse) == list(range(61, 420))
+
+
+def test_a_logger_that_is_faster_than_its_probe_is_no_frozen_probe() -> None:
+    """A reading every ten minutes, logged every ten seconds: every run is as long."""
+    slow = (WARM_UM + np.random.default_rng(5).normal(0.0, 0.5, len(T_S)))[(np.arange(len(T_S)) // 60) * 60]
+    assert held_rows(slow) == []
+    assert held_rows(np.zeros(len(T_S))) == []
+    assert held_rows(np.full(len(T_S), np.nan)) == []
+    assert not len(frozen_rows(np.zeros(0), np.zeros(0)))
 
 
 def sweeps_of(campaign: Campaign) -> SweepPoints:

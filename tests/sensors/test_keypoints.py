@@ -12,7 +12,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.folds import fold_numbers
 from thetacomp.machine import Axis, Machine, Sensor
 from thetacomp.sensors import strategies
-from thetacomp.sensors.correlation import correlations, effective_count, full_symmetric, p_value
+from thetacomp.sensors.correlation import correlations, effective_count, full_symmetric, p_value, pair_p_value
 from thetacomp.sensors.holdout import HoldOut, line_targets
 from thetacomp.sensors.key_points import AxisKeyPoints
 from thetacomp.sensors.parameters import INTERCEPT, SLOPE, Parameter, ParameterTable, correlation_tables
@@ -407,3 +407,44 @@ def test_a_smooth_long_record_keeps_two_states_a_campaign() -> None:
     n = effective_count(ramp, ramp, np.array([[4000.0]]), campaign)
     assert n[0, 0] == pytest.approx(5.0)
     assert p_value(np.array([[0.9999]]), n)[0, 0] < 1e-4
+
+
+def test_two_sensors_that_work_against_each_other_are_key_points_together() -> None:
+    """A frame that lowers the tool and a bed that lifts it, 75 and 11 µm/K: alone neither correlates with the drift."""
+    t_s = np.tile(1188.0 * np.arange(18), 2)
+    scale, campaign = np.repeat([1.0, 0.9], 18), np.repeat([0, 1], 18)
+    frame, bed = 11.4 * scale * -np.expm1(-t_s / 6800.0), 80.0 * scale * -np.expm1(-t_s / 4500.0)
+    noise = np.random.default_rng(3).normal(0.0, 0.02, (36, 3))
+    rise = np.column_stack([frame, bed, np.sin(t_s)]) + noise
+    value = np.column_stack([-75.0 * frame + 10.7 * bed, np.zeros(36)])
+    assert np.abs(correlations(value[:, :1], rise)[0]).max() < 0.4
+    found = select_key_points(table(value, rise, campaign))
+    assert found.key_points == ("t0", "t1")
+    assert "EXX intercept" not in dict(found.left_out)
+    reasons = [d.reason for t in found.tables for d in t.decisions if d.sensor == "t0"]
+    assert reasons[0] == "explains EXX intercept together with t1 only"
+    assert reasons[2].endswith("only both together help")
+
+
+def test_the_chance_of_a_pair_is_that_of_an_f_test() -> None:
+    rng = np.random.default_rng(4)
+    x, y = rng.normal(size=(30, 3)), rng.normal(size=30)
+    r, count = correlations(y[:, None], x)
+    chance = pair_p_value(r[0], correlations(x, x)[0], count[0])
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        design = np.column_stack([np.ones(30), x[:, [a, b]]])
+        left = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+        share = 1.0 - left @ left / np.sum((y - y.mean()) ** 2)
+        assert chance[a, b] == pytest.approx(stats.f.sf(share / (1.0 - share) * 27.0 / 2.0, 2, 27))
+        assert chance[b, a] == pytest.approx(chance[a, b])
+    assert (np.diag(chance) == 1.0).all()
+
+
+def test_a_pair_by_chance_is_no_key_point() -> None:
+    """Noise against six sensors of noise: 300 tables, fewer than one in twenty with key points."""
+    rng = np.random.default_rng(5)
+    found = 0
+    for _ in range(300):
+        value = np.column_stack([rng.normal(size=20), np.zeros(20)])
+        found += bool(select_key_points(table(value, rng.normal(size=(20, 6)))).main_factors)
+    assert found <= 30

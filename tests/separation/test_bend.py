@@ -242,7 +242,7 @@ def test_verification_expects_the_bend_where_the_point_is() -> None:
     k = states.components.index("EXY")
     samples = states.samples[k]
     expected, _ = expected_from_model(model, whole, states, separations)
-    at_point = expected[k][0] + expected[k][1] * samples.lever_m
+    at_point = expected[k].intercept_um + expected[k].slope_um_per_m * samples.lever_m
     own = np.flatnonzero(states.campaign[samples.state] == 0)
     s = next(s for s in separations if s.campaign == "a" and s.component == "EXY")
     t_s = 3600.0 * samples.elapsed_h[own] + float(s.zero_t_s.mean())

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_machine import MACHINE as KNOWN
+from known_machine import measured_campaign
 from rigid_machine import MACHINE, P0_MM, ROUND_S, STAND_MM, draw_rigid, measure
 
 from thetacomp.campaign import Campaign, CampaignSettings, Drift
@@ -270,3 +272,27 @@ def test_a_long_list_of_moments_is_cut() -> None:
     (note,) = separate_campaign(MACHINE, campaign)[0].notes
     assert "at 28 moments" in note
     assert note.endswith("7200 and 16 more")
+
+
+@pytest.mark.parametrize("division_um", [5.0, 10.0, 25.0])
+@pytest.mark.parametrize("scatter", [0.0, 0.2, 0.5])
+def test_the_division_of_a_gauge_is_no_outlier_rule(division_um: float, scatter: float) -> None:
+    """1203 readings of a warm-up of 150 µm, rounded to the division; `scatter` in divisions. One off by 12 is gross."""
+    t_s = 15.0 * np.arange(1203)
+    value = _warm_up(t_s) + np.random.default_rng(3).normal(0.0, scatter * division_um, len(t_s))
+    value = division_um * np.round(value / division_um)
+    assert _gross(t_s, value) == []
+    value[700] += 12.0 * division_um
+    assert _gross(t_s, value) == [700]
+
+
+def test_sweeps_read_in_coarse_divisions_keep_every_point() -> None:
+    """Sweeps that hardly scatter, read to 40 µm: most points repeat exactly, the rest are one division away."""
+    measured, _ = measured_campaign(
+        np.random.default_rng(0), sweeps=4, point_u_um=1.0, angle_u_um_per_m=0.5, outlier_share=0.0
+    )
+    assert measured.sweeps is not None
+    coarse = replace(measured.sweeps, error_um=40.0 * np.round(measured.sweeps.error_um / 40.0))
+    for component in separate_campaign(KNOWN, replace(measured, sweeps=coarse)):
+        assert component.points is not None
+        assert not component.points.outlier.any()

@@ -176,7 +176,7 @@ class Recording:
     """
 
     def __init__(self, temperatures: Temperatures, duty: Duty | None, reference: Reference) -> None:
-        self.temperatures, self.duty, self.reference = temperatures, duty, reference
+        self.temperatures, self.duty, self.reference = temperatures.evenly_sampled(), duty, reference
         self._inputs: dict[InputLayout, Temperatures] = {}
 
     def values(self, axis: AxisLaw, t_s: Floats) -> LawValues:

@@ -9,9 +9,10 @@ import numpy as np
 
 from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.errors import AnalysisError
+from thetacomp.model.sampling import Sampling, sampling_of
 
-GAP_INTERVALS = 3.0
-GAP_S = 600.0
+FEWEST = 5  # fewer readings show no interval
+SLOWER = 1.5  # a sensor whose own interval is so many times that of the table has a sampling of its own
 
 
 @dataclass(frozen=True)
@@ -67,23 +68,48 @@ class Temperatures:
     def at(self, t_s: Floats) -> Floats:
         """Temperatures at other times, shape (len(t_s), sensors): linear between readings, held at the ends.
 
-        A missing reading is bridged by its neighbours; a gap of more than three sampling intervals and ten minutes
-        stays a gap (NaN), at the ends too. A sensor without any reading is NaN throughout. This looks ahead: at work
-        on a machine use `unbridged_at`.
+        A missing reading is bridged by its neighbours; a gap in the sampling of that sensor (`Sampling`) stays a gap
+        (NaN), at the ends too. A sensor without any reading is NaN throughout. This looks ahead: at work on a machine
+        use `unbridged_at`.
         """
-        limit_s = max(GAP_INTERVALS * self.interval_s, GAP_S)
         out = np.full((len(t_s), len(self.sensor_ids)), np.nan)
         for j in range(len(self.sensor_ids)):
-            good = np.isfinite(self.value_degC[:, j])
-            if good.any():
-                known_s = self.t_s[good]
+            own = self.sampling(j)
+            if own is not None:
+                known_s = own.t_s
                 after = np.clip(np.searchsorted(known_s, t_s), 0, len(known_s) - 1)
                 before = np.maximum(after - 1, 0)
-                between = (t_s > known_s[before]) & (t_s < known_s[after])
-                far = between & (known_s[after] - known_s[before] > limit_s)
-                far |= (t_s - known_s[-1] > limit_s) | (known_s[0] - t_s > limit_s)
-                out[:, j] = np.where(far, np.nan, np.interp(t_s, known_s, self.value_degC[good, j]))
+                far = (t_s > known_s[before]) & (t_s < known_s[after]) & np.append(own.is_gap, False)[before]
+                far |= (t_s - known_s[-1] > own.limit_s) | (known_s[0] - t_s > own.limit_s)
+                value = self.value_degC[np.isfinite(self.value_degC[:, j]), j]
+                out[:, j] = np.where(far, np.nan, own.between(value, t_s))
         return out
+
+    def sampling(self, column: int) -> Sampling | None:
+        """How a sensor was sampled; None where it has no reading."""
+        value = self.value_degC[:, column]
+        good = np.isfinite(value)
+        return sampling_of(self.t_s[good], value[good]) if good.any() else None
+
+    def evenly_sampled(self) -> Temperatures:
+        """The same samples, with a sensor that is read less often than the table filled in between its own readings.
+
+        Where all sensors are read at every row a missing reading stays missing.
+        """
+        slow = [
+            j
+            for j in range(len(self.sensor_ids))
+            if (own := self.sampling(j)) is not None
+            and len(own.t_s) >= FEWEST
+            and own.interval_s > SLOWER * self.interval_s > 0.0
+        ]
+        if not slow:
+            return self
+        value_degC = self.value_degC.copy()
+        value_degC[:, slow] = replace(
+            self, sensor_ids=tuple(self.sensor_ids[j] for j in slow), value_degC=value_degC[:, slow]
+        ).at(self.t_s)
+        return replace(self, value_degC=value_degC)
 
     def bridged(self) -> Temperatures:
         """The same samples with missing readings filled in as in `at`."""

@@ -13,7 +13,7 @@ from thetacomp.arrays import CARTESIAN
 from thetacomp.campaign import Campaign, CampaignSettings, Drift, Parameters
 from thetacomp.machine import Machine
 from thetacomp.model.temperatures import Duty, Temperatures
-from thetacomp.reading import checks, tracker
+from thetacomp.reading import checks, temperature_checks, tracker
 from thetacomp.reading.columns import ERRORS
 from thetacomp.reading.lead_in import with_lead_in
 from thetacomp.reading.problems import ProblemList, quoted
@@ -117,7 +117,8 @@ def temperatures(table: Table, start_micros: int, machine: Machine | None, probl
     data = Temperatures(table.t_s(start_micros), kept, table.stacked(kept) if kept else np.empty((len(table.rows), 0)))
     checks.time_order(table, data.t_s, problems)
     if kept:
-        checks.temperatures(table, data, problems)
+        data = temperature_checks.without_stray_starts(table, data, problems)
+        temperature_checks.temperatures(table, data, problems)
     return data
 
 
@@ -125,6 +126,7 @@ def _drift(table: Table, start_micros: int, machine: Machine, problems: ProblemL
     t_s = table.t_s(start_micros)
     checks.time_order(table, t_s, problems)
     checks.displacements(table, problems)
+    checks.frozen_displacements(table, t_s, problems)
     return Drift(t_s, table.stacked(ERRORS), rotations(table), at_mm(table, machine, problems))
 
 

@@ -8,17 +8,17 @@ import numpy as np
 
 from thetacomp.arrays import Floats
 from thetacomp.campaign import SweepPoints
+from thetacomp.instrument import frozen
 from thetacomp.machine import Machine
 from thetacomp.model.temperatures import Temperatures
 from thetacomp.reading.columns import ERRORS, ROTATIONS
 from thetacomp.reading.problems import ProblemList
 from thetacomp.reading.tables import Table
 
-LOWEST_DEGC, HIGHEST_DEGC = -60.0, 250.0
 LARGEST_ERROR_UM = 20_000.0
 LARGEST_ANGLE_URAD = 20_000.0
-JUMP_K, JUMP_K_PER_S = 2.0, 1.0 / 60.0
 SHORTEST_S, LONGEST_S = 600.0, 14 * 86_400.0
+FEWEST_READINGS = 10
 
 
 def time_order(table: Table, t_s: Floats, problems: ProblemList, strictly: bool = True) -> None:
@@ -68,92 +68,6 @@ def duration(table: Table, t_s: Floats, problems: ProblemList) -> None:
     )
 
 
-def temperatures(table: Table, data: Temperatures, problems: ProblemList) -> None:
-    """Range, unit, sensors that do not move, jumps between neighbours, gaps."""
-    value = data.value_degC
-    outside = (value < LOWEST_DEGC) | (value > HIGHEST_DEGC)
-    for j in np.flatnonzero(outside.any(axis=0)):
-        where = np.flatnonzero(outside[:, j])
-        kelvin = np.all(value[np.isfinite(value[:, j]), j] > HIGHEST_DEGC)
-        problems.error(
-            "temperature-range",
-            table.file,
-            f"found {value[where[0], j]:g} °C, expected {LOWEST_DEGC:g} to {HIGHEST_DEGC:g} °C"
-            + (": is the column in kelvin?" if kelvin else "."),
-            "give °C; leave the cell empty where the sensor failed (no codes such as -999 or 850).",
-            table.rows[where].tolist(),
-            table.header(data.sensor_ids[j]),
-        )
-    if outside.any() or not np.isfinite(value).any():
-        return
-    coldest = float(np.nanmin(value))
-    if coldest > 50:
-        problems.warning(
-            "temperature-unit",
-            table.file,
-            f"no temperature is below {coldest:g} °C: are they in degrees Fahrenheit?",
-            "give °C.",
-        )
-    _resting_sensors(table, data, problems)
-    _jumps(table, data, problems)
-    _gaps(table, data, problems)
-
-
-def _resting_sensors(table: Table, data: Temperatures, problems: ProblemList) -> None:
-    if len(data.t_s) < 10:
-        return
-    lowest, highest = np.nanmin(data.value_degC, axis=0), np.nanmax(data.value_degC, axis=0)
-    resting = [name for name, rests in zip(data.sensor_ids, lowest == highest, strict=True) if rests]
-    if not resting:
-        return
-    everyone = len(resting) == len(data.sensor_ids)
-    problems.warning(
-        "temperature-constant",
-        table.file,
-        "no temperature changes at all." if everyone else f"these sensors never change: {', '.join(resting)}.",
-        "check the logger and the cables; without a change of temperature nothing can be learnt.",
-        (),
-        None if everyone else table.header(resting[0]),
-    )
-
-
-def _jumps(table: Table, data: Temperatures, problems: ProblemList) -> None:
-    """A step that no mass of a machine can make: more than 2 K, and faster than 1 K a minute."""
-    for j, name in enumerate(data.sensor_ids):
-        good = np.flatnonzero(np.isfinite(data.value_degC[:, j]))
-        step, pause = np.diff(data.value_degC[good, j]), np.diff(data.t_s[good])
-        jumps = np.flatnonzero((np.abs(step) > JUMP_K) & (np.abs(step) > JUMP_K_PER_S * pause))
-        if len(jumps):
-            k = int(jumps[0])
-            problems.warning(
-                "temperature-jump",
-                table.file,
-                f"the temperature jumps by {step[k]:+.1f} K within {pause[k]:g} s"
-                f" (at {data.t_s[good[k + 1]] / 3600:.2f} h).",
-                "look at the sensor and its plug; leave the cells empty where it failed.",
-                table.rows[good[jumps + 1]].tolist(),
-                table.header(name),
-            )
-
-
-def _gaps(table: Table, data: Temperatures, problems: ProblemList) -> None:
-    pause = np.diff(data.t_s)
-    if len(pause) < 3:
-        return
-    usual = float(np.median(pause))
-    gaps = np.flatnonzero((pause > 10 * usual) & (pause > 600)) + 1
-    if len(gaps):
-        problems.warning(
-            "time-gap",
-            table.file,
-            f"{pause[gaps[0] - 1] / 60:.0f} min without a temperature (usual: {usual:g} s); the gap is bridged by a"
-            " straight line.",
-            "check the logger; leave out campaigns with long gaps during heating.",
-            table.rows[gaps].tolist(),
-            table.header("t_s"),
-        )
-
-
 def displacements(table: Table, problems: ProblemList) -> None:
     """Errors beyond 20 mm, angles beyond 20 mrad, and µm columns that look as if they held mm."""
     largest = 0.0
@@ -192,6 +106,35 @@ def displacements(table: Table, problems: ProblemList) -> None:
             (),
             table.header(empty[0]),
         )
+
+
+def frozen_displacements(table: Table, t_s: Floats, problems: ProblemList) -> None:
+    """Displacements at a fixed position that were repeated instead of measured, and columns that never change."""
+    for name in (*ERRORS, *ROTATIONS):
+        values = table.numbers.get(name)
+        if values is None or np.isfinite(values).sum() < FEWEST_READINGS:
+            continue
+        rows = np.flatnonzero(frozen(t_s, values))
+        header = table.header(name) or name
+        if np.nanmax(values) == np.nanmin(values):
+            problems.warning(
+                "error-constant",
+                table.file,
+                f"the column never changes ({values[np.isfinite(values)][0]:g}).",
+                "check the instrument and its cable; delete the column if the direction was not measured.",
+                (),
+                header,
+            )
+        elif len(rows):
+            problems.warning(
+                "error-frozen",
+                table.file,
+                f"{len(rows)} readings are repeated for longer than the instrument ever stands still (from"
+                f" {t_s[rows[0]] / 3600:.2f} h): they were not measured. An analysis leaves them out.",
+                "leave these cells empty; check the instrument and the logger.",
+                table.rows[rows].tolist(),
+                header,
+            )
 
 
 def positions(
@@ -265,12 +208,18 @@ def sweeps(table: Table, data: SweepPoints, problems: ProblemList) -> None:
 
 def _same_times(table: Table, data: SweepPoints, problems: ProblemList) -> None:
     still = np.flatnonzero(np.diff(data.t_s) == 0) + 1
-    twice = [i for i in still if data.axis[i] == data.axis[i - 1] and data.position_mm[i] == data.position_mm[i - 1]]
+    twice = [
+        i
+        for i in still
+        if data.axis[i] == data.axis[i - 1]
+        and data.position_mm[i] == data.position_mm[i - 1]
+        and data.direction[i] == data.direction[i - 1]  # a clock of whole minutes may see both ways at the turn
+    ]
     if twice:
         problems.error(
             "time-duplicate",
             table.file,
-            "the same time, axis and position stand twice.",
+            "the same time, axis and position stand twice, approached from one side.",
             "keep one of the rows.",
             table.rows[twice].tolist(),
             table.header("t_s"),

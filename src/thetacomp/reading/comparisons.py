@@ -1,4 +1,4 @@
-"""What only shows when sensors or campaigns are compared: another unit, another scale, another sign."""
+"""What only shows when sensors or campaigns are compared: another unit, another scale, another sign, another clock."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from itertools import combinations
 
 import numpy as np
 
-from thetacomp.arrays import CARTESIAN, Floats
+from thetacomp.arrays import Floats
 from thetacomp.campaign import Campaign, MachineFolder
 from thetacomp.machine import Machine
 from thetacomp.model.temperatures import Temperatures
+from thetacomp.reading.clock import check_clocks
+from thetacomp.reading.components import lever_of, measured_components
 from thetacomp.reading.problems import ProblemList
+from thetacomp.reading.sweep_jumps import check_sweep_jumps
 
 FAR_K = 15.0
 LIKE_FAHRENHEIT_K = 6.0
@@ -36,6 +39,8 @@ def compare(folder: MachineFolder, recorded: bool, problems: ProblemList) -> Non
         _sensors(campaign, others, folder.machine, file, problems)
     _sizes(folder.campaigns, recorded, problems)
     _signs(folder.campaigns, recorded, problems)
+    check_clocks(folder.campaigns, recorded, problems)
+    check_sweep_jumps(folder.campaigns, recorded, problems)
 
 
 def _starts_degC(heat: Temperatures) -> dict[str, float]:
@@ -182,20 +187,15 @@ def _growths(campaign: Campaign) -> dict[str, _Growth]:
     mean_degC = _mean_degC(heat)
     found: dict[str, _Growth] = {}
 
-    def add(name: str, t_s: Floats, position_mm: Floats, direction: Floats, error_um: Floats) -> None:
+    def add(name: str, t_s: Floats, lever: Floats, place: Floats, error_um: Floats) -> None:
         good = np.isfinite(error_um)
         rise_K = np.interp(t_s[good], heat.t_s, mean_degC) - mean_degC[0]
-        growth = _growth(rise_K, position_mm[good], direction[good], error_um[good])
+        growth = _growth(rise_K, lever[good], place[good], error_um[good])
         if growth is not None:
             found[name] = growth
 
-    if campaign.sweeps is not None:
-        sweeps = campaign.sweeps
-        for axis in dict.fromkeys(sweeps.axis):
-            mine = np.array([name == axis for name in sweeps.axis])
-            for k, letter in enumerate(CARTESIAN):
-                error = sweeps.error_um[mine, k]
-                add(f"E{letter}{axis}", sweeps.t_s[mine], sweeps.position_mm[mine], sweeps.direction[mine], error)
+    for one in measured_components(campaign):
+        add(one.name, one.t_s, one.lever, one.place, one.error_um)
     if campaign.parameters is not None:
         lines = campaign.parameters
         for name in dict.fromkeys(lines.component):
@@ -203,22 +203,20 @@ def _growths(campaign: Campaign) -> dict[str, _Growth]:
             ends = np.concatenate([lines.p_min_mm[mine], lines.p_max_mm[mine]])
             lever_m = (ends - np.tile(lines.p0_mm[mine], 2)) / 1000.0
             error = np.tile(lines.intercept_um[mine], 2) + np.tile(lines.slope_um_per_m[mine], 2) * lever_m
-            add(name, np.tile(lines.t_s[mine], 2), ends, np.zeros(len(ends)), error)
+            lever = lever_of(ends)
+            add(name, np.tile(lines.t_s[mine], 2), lever, np.round(lever, 2)[:, None], error)
     return found
 
 
-def _growth(rise_K: Floats, position_mm: Floats, direction: Floats, error_um: Floats) -> _Growth | None:
-    """Regression `error = geometry(position, direction) + rise (a + b u)`, u from -1 to 1 over the travel.
+def _growth(rise_K: Floats, lever: Floats, place: Floats, error_um: Floats) -> _Growth | None:
+    """Regression `error = geometry(place) + rise (a + b u)`, u the lever, from -1 to 1 over the travel.
 
     None where positions were not measured again, or nothing was heated.
     """
-    if len(error_um) < 6 or np.ptp(position_mm) == 0.0:
+    if len(error_um) < 6 or np.ptp(lever) == 0.0:
         return None
-    middle, half = (position_mm.max() + position_mm.min()) / 2.0, np.ptp(position_mm) / 2.0
-    u = (position_mm - middle) / half
-    place = np.column_stack([np.round(u, 2), direction])
     group = np.unique(place, axis=0, return_inverse=True)[1].ravel()
-    columns = np.column_stack([rise_K, rise_K * u, error_um])
+    columns = np.column_stack([rise_K, rise_K * lever, error_um])
     means = np.column_stack([np.bincount(group, column) for column in columns.T]) / np.bincount(group)[:, None]
     centred = columns - means[group]
     change = float(centred[:, 2] @ centred[:, 2])

@@ -4,7 +4,6 @@ At run time it needs numpy alone, so that the online service can screen live sam
 """
 
 from thetacomp.screening.faults import Finding, with_fault
-from thetacomp.screening.held_labels import find_held_labels
 from thetacomp.screening.live import Detector, ScreenedSample
 from thetacomp.screening.live_model import ScreeningModel, fit_screening
 
@@ -13,7 +12,6 @@ __all__ = [
     "Finding",
     "ScreenedSample",
     "ScreeningModel",
-    "find_held_labels",
     "fit_screening",
     "with_fault",
 ]

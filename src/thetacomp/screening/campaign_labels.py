@@ -1,7 +1,7 @@
 """Held labels of a campaign: displacements of drift and sweeps that were not measured, left out with a count.
 
-A frozen displacement is called held only where the instrument shows elsewhere that it does not repeat itself, and
-where something should have moved: a machine at rest, a coarse probe and a table without noise stay as they are.
+A frozen displacement is called held by the length of its run against what the instrument does when it lives: a coarse
+probe in a quiet hour and a table without noise stay as they are.
 """
 
 from __future__ import annotations
@@ -13,11 +13,8 @@ import numpy as np
 
 from thetacomp.arrays import CARTESIAN, Bools, Floats
 from thetacomp.campaign import Campaign, Drift, SweepPoints
-from thetacomp.model.temperatures import Duty
-from thetacomp.screening.held_labels import find_held_labels
+from thetacomp.instrument import FEWEST_EQUAL, frozen, repeats, unlikely
 
-REPEATS_SHARE = 0.1  # an instrument that repeats more of its other readings is too coarse, or free of noise
-MOVED_K = 0.5  # a machine whose temperatures move less may really stand still
 FEWEST_POINTS = 3  # a line needs that many
 HOUR_S = 3600.0
 SHOWN = 6
@@ -45,7 +42,7 @@ def without_held_labels(campaign: Campaign, apply: bool = True) -> tuple[Campaig
     drift, sweeps = campaign.drift, campaign.sweeps
     found: list[HeldLabels] = []
     if drift is not None:
-        held, entries = _held_drift(campaign, drift)
+        held, entries = _held_drift(campaign.name, drift)
         found += entries
         values = np.where(held, np.nan, _values(drift))
         drift = replace(
@@ -70,7 +67,7 @@ def labels_note(entry: HeldLabels, repair: bool) -> str:
         f"campaign {entry.campaign}, {entry.table}: {entry.count} values of {entry.column} are frozen ({shown}{more})"
     )
     why = (
-        "while the machine is at rest and its temperatures change"
+        "for longer than the instrument ever stands still"
         if entry.table == "drift"
         else "in every direction, while the axis goes from point to point"
     )
@@ -82,56 +79,46 @@ def labels_note(entry: HeldLabels, repair: bool) -> str:
     return f"{what} {why}: no measurement. Left out{besides}"
 
 
-def _held_drift(campaign: Campaign, drift: Drift) -> tuple[Bools, list[HeldLabels]]:
-    """Held values (n, columns) of a drift record; without a duty table it is not known when the machine stood."""
+def _held_drift(campaign: str, drift: Drift) -> tuple[Bools, list[HeldLabels]]:
+    """Held values (n, columns) of a drift record, each column on its own."""
     values = _values(drift)
-    held = np.zeros(values.shape, bool)
-    if campaign.duty is None or not campaign.duty.columns:
-        return held, []
-    held = find_held_labels(values, drift.t_s, _running(campaign.duty, drift.t_s))
-    entries = []
-    for j in range(values.shape[1]):
-        for begin, end in runs_of(held[:, j]):
-            held[begin:end, j] = _temperatures_move(campaign, drift.t_s[begin - 1], drift.t_s[end - 1])
-        if held[:, j].any():
-            kept = _repeats_itself(values[:, j], held[:, j])
-            entries.append(_entry(campaign.name, "drift", j, drift.t_s, held[:, j], kept))
-            held[:, j] &= not kept
-    return held, entries
+    held = np.column_stack([frozen(drift.t_s, column) for column in values.T])
+    return held, [_entry(campaign, "drift", int(j), drift.t_s, held[:, j]) for j in np.flatnonzero(held.any(axis=0))]
 
 
 def _held_sweeps(campaign: str, sweeps: SweepPoints) -> tuple[Bools, list[HeldLabels]]:
     """Held values (n, columns) of sweeps: an instrument that hangs repeats every coordinate while the axis moves.
 
-    Every point is taken at a standstill, so the duty says nothing here. A sweep that is constant as a whole may be a
-    table without noise: it is reported and kept.
+    A sweep that is constant as a whole may be a table without noise: it is reported and kept.
     """
     values = _values(sweeps)
     read = np.flatnonzero(np.isfinite(values).any(axis=0))
     nothing = np.zeros(values.shape, bool)
     if not len(read) or len(values) < FEWEST_POINTS:
         return nothing, []
-    every = find_held_labels(values[:, read], sweeps.t_s, np.zeros(len(values)), shortest_s=0.0)
-    frozen: Bools = np.all(every, axis=1, keepdims=True)[:, 0]
-    whole = np.zeros(len(values), bool)
-    for begin, end in runs_of(frozen):
+    every: Bools = np.asarray(np.stack([repeats(values[:, j]) for j in read]).all(axis=0))
+    known: Bools = np.asarray(np.isfinite(values[:, read]).all(axis=1))
+    hung, whole = np.zeros(len(values), bool), np.zeros(len(values), bool)
+    for begin, end in runs_of(np.concatenate([[False], every])):
         run = slice(begin - 1, end)
-        if len(np.unique(sweeps.position_mm[run])) < FEWEST_POINTS:
-            frozen[begin:end] = False  # a dwell at one place
-        elif begin == 1 or sweeps.sweep[begin - 2] != sweeps.sweep[begin - 1]:
-            whole[begin:end] = True
+        if end - begin + 1 < FEWEST_EQUAL or len(np.unique(sweeps.position_mm[run])) < FEWEST_POINTS:
+            continue  # short, or a dwell at one place
+        starts_sweep = begin == 1 or sweeps.sweep[begin - 2] != sweeps.sweep[begin - 1]
+        (whole if starts_sweep else hung)[begin:end] = True
+    alive = known[1:] & known[:-1] & ~hung[1:] & ~whole[1:]
+    for begin, end in runs_of(hung):
+        hung[begin:end] = unlikely(end - begin + 1, every, alive)
     entries = []
-    held = nothing
     for j in read:
-        kept = _repeats_itself(values[:, j], frozen)
-        held[:, j] = frozen & ~whole & (not kept)
-        for rows, why in ((frozen & ~whole, kept), (whole, "the whole sweep is constant, as in a table without noise")):
+        for rows, why in ((hung, ""), (whole, "the whole sweep is constant, as in a table without noise")):
             if rows.any():
                 entries.append(_entry(campaign, "sweeps", int(j), sweeps.t_s, rows, why))
+    held = nothing
+    held[:, read] = hung[:, None]
     return held, entries
 
 
-def _entry(campaign: str, table: str, column: int, t_s: Floats, rows: Bools, kept_because: str) -> HeldLabels:
+def _entry(campaign: str, table: str, column: int, t_s: Floats, rows: Bools, kept_because: str = "") -> HeldLabels:
     names = (*(f"d{d}_um" for d in CARTESIAN), *(f"r{d}_urad" for d in "ABC"))
     stretches = tuple((float(t_s[begin]), float(t_s[end - 1])) for begin, end in runs_of(rows))
     return HeldLabels(campaign, table, names[column], int(rows.sum()), stretches, kept_because=kept_because)
@@ -140,28 +127,6 @@ def _entry(campaign: str, table: str, column: int, t_s: Floats, rows: Bools, kep
 def _values(table: Drift | SweepPoints) -> Floats:
     """Errors and rotations side by side, (n, 3) or (n, 6)."""
     return table.error_um if table.rotation_urad is None else np.hstack([table.error_um, table.rotation_urad])
-
-
-def _running(duty: Duty, t_s: Floats) -> Floats:
-    """0 where every column of the duty says standstill, 1 where something runs or nothing is known, (n,)."""
-    row = np.searchsorted(duty.t_s, t_s, side="right") - 1
-    running = np.any([~(column == 0.0) for column in duty.columns.values()], axis=0)
-    return np.where(row < 0, True, running[np.maximum(row, 0)]).astype(float)
-
-
-def _temperatures_move(campaign: Campaign, begin_s: float, end_s: float) -> bool:
-    first, last = campaign.temperatures.at(np.array([begin_s, end_s]))
-    change_K = np.abs(last - first)
-    return bool(np.max(change_K[np.isfinite(change_K)], initial=0.0) > MOVED_K)
-
-
-def _repeats_itself(value: Floats, held: Bools) -> str:
-    """Why a repeated reading means nothing: the other readings repeat too, or there are none; "" where they do not."""
-    pair = np.isfinite(value[1:]) & np.isfinite(value[:-1]) & ~held[1:] & ~held[:-1]
-    if not pair.any():
-        return "there is no other reading to compare with"
-    share = float(np.mean(value[1:][pair] == value[:-1][pair]))
-    return f"{100.0 * share:.0f} % of the other readings repeat the one before too" if share > REPEATS_SHARE else ""
 
 
 def runs_of(marked: Bools) -> list[tuple[int, int]]:

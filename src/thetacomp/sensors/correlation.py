@@ -80,6 +80,20 @@ def effective_count(a: Floats, b: Floats, count: Floats, campaign: Ints) -> Floa
     return np.asarray(np.maximum(count * (1.0 - product) / (1.0 + product), least))
 
 
+def pair_p_value(r: Floats, between: Floats, count: Floats) -> Floats:
+    """Chance of what every two sensors explain of a parameter together, (p, p); 1 on the diagonal and where unknown.
+
+    `r` (p,) correlates the sensors with the parameter, `between` (p, p) with each other; `count` (p,) are independent
+    states. F-test of a plane: with two inputs the tail at R² is (1 - R²) to the power of half the freedom.
+    """
+    alone = 1.0 - between**2
+    known = np.isfinite(alone) & (alone > 1e-6) & np.isfinite(r)[:, None] & np.isfinite(r)
+    together = r[:, None] ** 2 + r**2 - 2.0 * np.outer(r, r) * between
+    share = np.clip(np.where(known, together, 0.0) / np.where(known, alone, 1.0), 0.0, 1.0)
+    freedom = np.maximum(np.minimum(count[:, None], count) - 3.0, 0.0)
+    return np.asarray((1.0 - share) ** (freedom / 2.0))
+
+
 def p_value(r: Floats, count: Floats) -> Floats:
     """Two-sided p-value of a correlation `r` of `count` independent pairs: t = r sqrt(f / (1 - r²)), f = count - 2.
 

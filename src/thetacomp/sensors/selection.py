@@ -15,7 +15,7 @@ from thetacomp.errors import AnalysisError
 from thetacomp.folds import fold_numbers
 from thetacomp.machine import Machine
 from thetacomp.sensors import strategies
-from thetacomp.sensors.correlation import correlations, effective_count, full_symmetric, p_value
+from thetacomp.sensors.correlation import correlations, effective_count, full_symmetric, p_value, pair_p_value
 from thetacomp.sensors.holdout import HoldOut, line_targets
 from thetacomp.sensors.key_points import AxisKeyPoints, StrategyDecision, StrategyTable
 from thetacomp.sensors.parameters import ParameterTable, parameter_table
@@ -23,6 +23,7 @@ from thetacomp.sensors.parameters import ParameterTable, parameter_table
 Method = Literal["weighted", "paper"]
 
 SIGNIFICANCE = 0.05
+PAIR_SIGNIFICANCE = 0.01  # a second chance for what was judged at 5 % already
 FEW_STATES = 10
 FEW_STATES_INPUTS = 2
 STATES_PER_INPUT = 5
@@ -170,6 +171,8 @@ def select_key_points(
     one by one while the hold-out error over the travel falls by more than 5 %; at most `max_key_points`, at most a
     fifth of the number of states, and never more than two below ten states.
 
+    Where no parameter votes, one that a pair of sensors explains significantly does, and both are main factors.
+
     Nothing is random. The result may hold no key point: then no sensor predicts a state that was held out.
     """
     usable, excluded = _usable_sensors(table)
@@ -177,13 +180,20 @@ def select_key_points(
     rise = table.rise_K[:, usable]
     r, count = correlations(table.value, rise)
     votes, left_out = _voting(table, sensors, rise, r, count)
+    pairs = _pairs(table, rise, r, count) if not any(votes) else {}
+    votes = [vote or i in pairs for i, vote in enumerate(votes)]
+    left_out = tuple(entry for entry in left_out if entry[0] not in {table.names[i] for i in pairs})
     rows = np.flatnonzero(votes)
     value, voting = table.value[:, rows], [table.parameters[i] for i in rows]
     weight_um = strategies.spans(value) * np.array([p.um_per_unit for p in voting])
     factors = strategies.main_factor(table.axis, sensors, [p.name for p in voting], r[rows], weight_um)
+    named = {table.names[i]: pair for i, pair in pairs.items()}
+    factors = _with_pairs(factors, sensors, named)
     index = [sensors.index(s) for s in factors.kept]
     inside = correlations(rise[:, index], rise[:, index])[0] if index else np.empty((0, 0))
     irrelevance, groups = strategies.mutual_irrelevance(table.axis, factors.kept, inside, drives)
+    # The difference of two sensors that rise alike is what a pair is for: their group does not part them.
+    irrelevance = _with_pairs(irrelevance, sensors, named)
     fewest = _fewest(table, rise, sensors, irrelevance.kept, votes, max_key_points)
     result = AxisKeyPoints(
         axis=table.axis,
@@ -202,6 +212,39 @@ def select_key_points(
         left_out=left_out,
     )
     return _with_excluded(result, excluded)
+
+
+def _pairs(table: ParameterTable, rise_K: Floats, r: Floats, count: Floats) -> dict[int, tuple[int, int]]:
+    """Parameters that no sensor explains alone and a pair does, with the columns of the pair.
+
+    Two sensors that work against each other correlate with the error only when both are taken. The chance is counted
+    over all pairs.
+    """
+    between = correlations(rise_K, rise_K)[0]
+    independent = effective_count(table.value, rise_K, count, table.campaign)
+    found = {}
+    for i, own in enumerate(r):
+        chance = pair_p_value(own, between, independent[i])
+        a, b = divmod(int(np.argmin(chance)), len(own)) if chance.size else (0, 0)
+        if a != b and chance[a, b] * len(own) * (len(own) - 1) / 2.0 <= PAIR_SIGNIFICANCE:
+            found[i] = (a, b)
+    return found
+
+
+def _with_pairs(
+    verdicts: StrategyTable, sensors: tuple[str, ...], pairs: Mapping[str, tuple[int, int]]
+) -> StrategyTable:
+    """A table in which both sensors of every pair stay."""
+    partner = {sensors[a]: (name, sensors[b]) for name, pair in pairs.items() for a, b in (pair, pair[::-1])}
+    return replace(
+        verdicts,
+        decisions=tuple(
+            replace(d, stays=True, reason=f"explains {partner[d.sensor][0]} together with {partner[d.sensor][1]} only")
+            if d.sensor in partner
+            else d
+            for d in verdicts.decisions
+        ),
+    )
 
 
 def _usable_sensors(table: ParameterTable) -> tuple[list[int], tuple[StrategyDecision, ...]]:

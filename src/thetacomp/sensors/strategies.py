@@ -8,6 +8,7 @@ the deformation and cannot be judged by correlations.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -201,8 +202,9 @@ def fewest_sensors(
 ) -> StrategyTable:
     """Fewest sensors: forward, one at a time, while the hold-out error falls by more than `min_gain`.
 
-    `error_um` gives the hold-out error of a set of candidates (indices); it starts from no sensor at all. `limit` is
-    the largest number of sensors; `scheme` says in words what was held out. Kept sensors come first, in order.
+    Where no sensor helps alone, the best pair does if it gains as much: two that work against each other. `error_um`
+    gives the hold-out error of a set of candidates (indices); it starts from no sensor at all. `limit` is the largest
+    number of sensors; `scheme` says in words what was held out. Kept sensors come first, in order.
     """
     chosen: list[int] = []
     before = error_um([])
@@ -213,13 +215,18 @@ def fewest_sensors(
         if len(chosen) >= limit:
             full = True
             break
-        trial = {j: error_um([*chosen, j]) for j in range(len(candidates)) if j not in chosen}
-        best = min(trial, key=lambda j: (trial[j], j))
-        if not (trial[best] < before * (1.0 - min_gain) and trial[best] < before - MIN_GAIN_UM):
+        left = [j for j in range(len(candidates)) if j not in chosen]
+        trial: dict[tuple[int, ...], float] = {(j,): error_um([*chosen, j]) for j in left}
+        enough = min(before * (1.0 - min_gain), before - MIN_GAIN_UM)
+        if not chosen and limit > 1 and not min(trial.values()) < enough:
+            trial |= {pair: error_um(pair) for pair in combinations(left, 2)}
+        best = min(trial, key=lambda added: (trial[added], added))
+        if not trial[best] < enough:
             break
-        reason = f"hold-out error {before:.1f} -> {trial[best]:.1f} µm over the travel ({scheme})"
-        decisions.append(StrategyDecision(candidates[best], True, trial[best], reason))
-        chosen.append(best)
+        pair = "; only both together help" if len(best) > 1 else ""
+        reason = f"hold-out error {before:.1f} -> {trial[best]:.1f} µm over the travel ({scheme}){pair}"
+        decisions += [StrategyDecision(candidates[j], True, trial[best], reason) for j in best]
+        chosen += best
         before = trial[best]
     for j, sensor in enumerate(candidates):
         if j in chosen:

@@ -24,13 +24,15 @@ MIN_MEANS = 5
 class DriftMeans:
     """The drift record as n means over two minutes: `error` (n, 3) in µm (or µrad), NaN where it is missing.
 
-    `gross_s` holds the moments of readings that were left out before, one array for each column.
+    `gross_s` holds the moments of readings that were left out before, one array for each column, and `resolution` the
+    division of the instrument in each column, 0 where it is too fine to be seen.
     """
 
     t_s: Floats
     error: Floats
     at_mm: dict[str, Floats]
     gross_s: tuple[Floats, ...] = ()
+    resolution: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 A reading is judged by what the two readings before and the two behind it say, held or carried on along their line, and
 in the joint form also by the sweeps. Everything between these values is accepted: the machine may have warmed up
 fast, turned to cooling, or jumped and stayed. A reading beyond all of them by 4.5 robust standard deviations is gross.
+A coarse gauge repeats itself, so most errors of interpolation are zero: its scatter is at least one division.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from thetacomp.arrays import Bools, Floats, Ints
 from thetacomp.campaign import Campaign
+from thetacomp.instrument import resolution
 from thetacomp.separation.sweep_fit import OUTLIER_SIGMA
 
 # µm or µrad. Below it a display's last digit decides; such a reading does no harm to a model of a machine tool.
@@ -37,15 +39,17 @@ def least_sd(campaign: Campaign, *, is_angle: bool = False) -> float:
 def gross_readings(t_s: Floats, error: Floats, at_mm: Mapping[str, Floats], least: float) -> Bools:
     """Gross readings (n, k) of a record `error` (n, k): each column on its own, among readings at one position.
 
+    `least` is the smallest standard deviation of a reading, or the resolution of its column where that is larger.
     Fewer than nine readings cannot decide, so none of them is gross. A missing value is never gross.
     """
     gross = np.zeros(error.shape, dtype=bool)
+    least_of = [max(least, resolution(column)) for column in error.T]
     stood = np.column_stack([np.zeros(len(t_s)), *(np.round(p, 3) for p in at_mm.values())])
     _, place = np.unique(stood, axis=0, return_inverse=True)
     for number in range(int(place.max(initial=-1)) + 1):
         for k in range(error.shape[1]):
             rows = np.flatnonzero((place.ravel() == number) & np.isfinite(error[:, k]))
-            gross[rows, k] = _gross_in_time(t_s[rows], error[rows, k], least)
+            gross[rows, k] = _gross_in_time(t_s[rows], error[rows, k], least_of[k])
     return gross
 
 

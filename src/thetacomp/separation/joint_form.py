@@ -23,6 +23,7 @@ from scipy import linalg
 
 from thetacomp.arrays import CARTESIAN, Floats
 from thetacomp.campaign import Campaign
+from thetacomp.instrument import resolution
 from thetacomp.machine import Machine
 from thetacomp.model.axis_chain import ChainAxis, arms_behind_m, chain_of, turned_um
 from thetacomp.separation.axis_shares import AxisFit, axis_share_um, between_nodes, node_weights
@@ -164,7 +165,8 @@ def _drift_means(
     at_mm = {a.name: drift.at_mm[a.name] for a in chain}
     gross = gross_readings(drift.t_s, error, at_mm, least)
     means = drift_means(drift, np.where(gross, np.nan, error), at_mm)
-    return replace(means, gross_s=tuple(drift.t_s[column] for column in gross.T)), []
+    gross_s = tuple(drift.t_s[column] for column in gross.T)
+    return replace(means, gross_s=gross_s, resolution=tuple(resolution(column) for column in error.T)), []
 
 
 def _solved(whole: _Campaign) -> tuple[list[ComponentSeparation], dict[str, list[AxisFit]]]:
@@ -241,7 +243,7 @@ def _with_means(
         np.append(zero_s, sweeps.t_s),
         np.append(0.0, sweeps.value),
         between_nodes(zero_s, sweeps.t_s, means.t_s) @ sweeps.value,
-        least_sd(whole.campaign, is_angle=letter in ANGLES),
+        max(least_sd(whole.campaign, is_angle=letter in ANGLES), means.resolution[column]),
         float(np.median([f.fit.noise_sd_um for f in own.values()])),
     )
     seen = np.isfinite(value) & ~gross

@@ -184,6 +184,7 @@ def _component(
             f"points scatter by {fit.noise_sd_um:.1f} µm (one standard deviation), more than twice what the stated"
             f" uncertainty of {stated_um:.3g} µm (expanded, at the far end of the travel) allows"
         )
+    own_notes += _outlier_notes(data, fit)
     points = campaign.sweeps
     tied = points is not None and points.tie_covariance is not None
     if not is_angle and settings.instrument_u_um_per_m is None and not tied:
@@ -230,6 +231,20 @@ def _component(
         bend_se_um_per_m2=bend_se if data.bent else None,
     )
     return AxisFit(data, fit, separation)
+
+
+def _outlier_notes(data: ComponentData, fit: SweepFit) -> list[str]:
+    """Sweeps that lose several points in a row: that is no single gross reading but something that moved."""
+    notes = []
+    for number in np.unique(data.sweep[fit.outlier]):
+        own = np.flatnonzero(data.sweep == number)
+        out = fit.outlier[own]
+        if np.any(out[2:] & out[1:-1] & out[:-2]):
+            notes.append(
+                f"sweep at {data.middle_s[number] / 3600.0:.2f} h: {out.sum()} of {len(own)} points are left out as"
+                " outliers, several of them in a row, as after a jump of the machine or of the instrument"
+            )
+    return notes
 
 
 def _fit(data: ComponentData) -> tuple[SweepFit, LinearityTest | None, tuple[str, ...]]:

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from thetacomp.arrays import Bools, Floats, Ints
+from thetacomp.instrument import resolution
 from thetacomp.separation.geometry import (
     Curve,
     choose_curve,
@@ -239,14 +240,18 @@ def _robust_scale(residual: Floats, parameters: float) -> float:
 
 
 def find_outliers(data: ComponentData, curve: Curve, directions: Sequence[int], states: Ints) -> Bools:
-    """Points more than 4.5 robust standard deviations from a Huber fit, (n,)."""
+    """Points more than 4.5 robust standard deviations from a Huber fit, (n,).
+
+    One such deviation is at least the instrument's resolution.
+    """
+    least = resolution(data.error_um)
     system = _system(data, curve, directions, states, np.zeros((len(data.t_s), 0)))
     stated = np.sqrt(_point_weight(data))
     weight = np.ones(len(data.error_um))
     for _ in range(30):
         solution = _solve(system, data, weight)
         own = stated * solution.residual
-        scaled = np.abs(own) / _robust_scale(own, len(weight) - solution.dof)
+        scaled = np.abs(own) / max(_robust_scale(own, len(weight) - solution.dof), least)
         new_weight = np.minimum(1.0, HUBER_SIGMA / np.maximum(scaled, 1e-12))
         done = np.max(np.abs(new_weight - weight)) < 1e-3
         weight = new_weight
@@ -255,7 +260,7 @@ def find_outliers(data: ComponentData, curve: Curve, directions: Sequence[int], 
     outlier = scaled > OUTLIER_SIGMA
     for _ in range(5):
         solution = _solve(system, data, (~outlier).astype(float))
-        again = np.abs(stated * solution.residual) > OUTLIER_SIGMA * solution.noise_sd_um
+        again = np.abs(stated * solution.residual) > OUTLIER_SIGMA * max(solution.noise_sd_um, least)
         if np.array_equal(again, outlier):
             break
         outlier = again

@@ -13,8 +13,10 @@ import numpy as np
 
 from thetacomp.arrays import Floats, Ints
 from thetacomp.errors import AnalysisError
+from thetacomp.instrument import jump_that_stays, step_scatter
 
 RUNS = 5
+RUNS_TO_COMPARE = 3
 TARGETS = 5
 TARGETS_PER_M = 5.0
 LONG_AXIS_MM = 2000.0
@@ -263,6 +265,28 @@ def _refuse_few_runs(runs: Runs) -> None:
         )
 
 
+def _jumps(runs: Runs) -> list[str]:
+    """Runs in which the deviation jumps on the way, against the median of all runs in that direction."""
+    if runs.count < RUNS_TO_COMPARE:
+        return []
+    found = []
+    ways = [("+", runs.up_um, runs.up_runs, 1), ("-", runs.down_um, runs.down_runs, -1)]
+    rest = [
+        (sign, (um - np.median(um, axis=1, keepdims=True)).T[:, ::way], names, way) for sign, um, names, way in ways
+    ]
+    scatter = step_scatter([run for _, left, _, _ in rest for run in left])
+    for sign, left, names, way in rest:
+        for run, name in zip(left, names, strict=True):
+            jump = jump_that_stays(run, scatter)
+            if jump is not None:
+                found.append(
+                    f"Run {name}, direction {sign}: the deviation jumps by {jump[1]:+.0f} µm at"
+                    f" {runs.target_mm[::way][jump[0]]:g} mm and stays there; all figures include it. Did the machine,"
+                    " a clamp or the instrument move?"
+                )
+    return found
+
+
 def _remarks(runs: Runs, travel_mm: float | None) -> tuple[str, ...]:
     """What a reader must know about the conditions of this evaluation."""
     remarks = []
@@ -285,6 +309,7 @@ def _remarks(runs: Runs, travel_mm: float | None) -> tuple[str, ...]:
         remarks.append(f"The targets cover {length:g} mm of {travel_mm:g} mm travel.")
     if np.ptp(np.diff(runs.target_mm)) < 1e-3 * length / len(runs.target_mm):
         remarks.append("The targets are equally spaced: periodic errors of screw or scale may stay unseen.")
+    remarks += _jumps(runs)
     if runs.count > RUNS and length <= LONG_AXIS_MM:
         remarks.append(f"{runs.count} runs in each direction were evaluated; ISO 230-2 takes {RUNS}.")
     return tuple(remarks)

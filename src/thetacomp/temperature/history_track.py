@@ -41,10 +41,10 @@ class HistoryTrack:
 def history_layout(campaigns: Sequence[Campaign]) -> InputLayout | None:
     """The inputs that all campaigns can give: sensors read in each, the speed where each has it. None without sensors.
 
-    A sensor with a missing sample at the start of a campaign is left out: its filter would have no state to start from.
+    A sensor that is not read near the start of a campaign is left out: its filter would have no state to start from.
     """
     first = campaigns[0].temperatures
-    starts = np.array([c.temperatures.padded(first.sensor_ids).value_degC[0] for c in campaigns])
+    starts = np.array([c.temperatures.padded(first.sensor_ids).at(c.temperatures.t_s[:1])[0] for c in campaigns])
     known = np.isfinite(starts).all(axis=0)
     sensors = tuple(name for name, read in zip(first.sensor_ids, known, strict=True) if read)
     if not sensors:
