@@ -277,11 +277,16 @@ def test_files_are_of_the_form_that_the_control_reads(tmp_path: Path) -> None:
 
 
 def test_names_beyond_ascii_or_with_line_breaks_do_no_harm(tmp_path: Path) -> None:
-    model = three_axes().model_copy(update={"machine": "Maschine Ä <b>\nM30"})
-    folder = export(tmp_path, model)
+    broken = three_axes().model_copy(update={"machine": "Maschine\nM30"})
+    broken.save(tmp_path / "broken.json")
+    refused = CliRunner().invoke(
+        app, ["export", str(tmp_path / "broken.json"), "--target", "sinumerik", "--out", str(tmp_path / "never")]
+    )
+    assert refused.exit_code == 1
+    assert "it holds the control character U+000A" in refused.output
+    folder = export(tmp_path, three_axes().model_copy(update={"machine": "Maschine Ä <b>"}))
     for name in FILES[:2]:
-        lines = (folder / name).read_bytes().decode("ascii").splitlines()
-        assert not [line for line in lines if line.startswith("M30")]
+        assert (folder / name).read_bytes().decode("ascii")
     assert "Ä &lt;b&gt;" in (folder / FILES[3]).read_text(encoding="utf-8")
 
 

@@ -300,7 +300,9 @@ def test_no_cold_sweep_is_told() -> None:
 
 def test_more_scatter_than_the_instrument_states_is_told() -> None:
     campaign, _ = measured_campaign(np.random.default_rng(4), sweeps=4)
-    optimistic = replace(campaign, settings=campaign.settings.model_copy(update={"instrument_u_um": 2.0, "instrument_u_um_per_m": 0.0}))
+    optimistic = replace(
+        campaign, settings=campaign.settings.model_copy(update={"instrument_u_um": 2.0, "instrument_u_um_per_m": 0.0})
+    )
     notes = separate_campaign(MACHINE, optimistic)[0].notes
     assert any("more than twice" in note for note in notes)
 
