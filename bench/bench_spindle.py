@@ -47,11 +47,10 @@ def read_spindle(path: Path) -> Spindle:
 
 def history_model(spindle: Spindle) -> tuple[np.ndarray, HistoryRidge]:
     """Inputs (n, inputs) since the datum, and the unfitted procedure."""
-    layout = InputLayout(
-        sensors=tuple(f"t{k}" for k in range(1, 17)), base_degC=float(spindle.temperature_degC[0].mean())
-    )
+    sensors, start_degC = tuple(f"t{k}" for k in range(1, 17)), spindle.temperature_degC[0]
+    layout = InputLayout(sensors=sensors, base_degC=float(np.median(start_degC)), products=("median",))
     inputs = history_inputs(layout, spindle.t_s, spindle.temperature_degC, spindle.speed_rpm)
-    return rise_since(inputs, inputs[0]), HistoryRidge(layout.blocks, history_candidates(layout, 3))
+    return layout.since(inputs, inputs[0]), HistoryRidge(layout.blocks, history_candidates(layout, 5))
 
 
 def plain_ridge(spindle: Spindle) -> tuple[np.ndarray, HistoryRidge]:
