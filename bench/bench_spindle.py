@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from thetacomp.fitting.probe import fit_between_probes, follow_probes, probe_rows
-from thetacomp.fitting.ridge import BlockUse, HistoryRidge, history_candidates, rise_since
+from thetacomp.fitting.ridge import BlockUse, HistoryRidge, history_candidates
 from thetacomp.model.filters import InputLayout, history_inputs
 
 # first rows of the six campaigns, as the data's README cuts them
@@ -56,7 +56,7 @@ def history_model(spindle: Spindle) -> tuple[np.ndarray, HistoryRidge]:
 def plain_ridge(spindle: Spindle) -> tuple[np.ndarray, HistoryRidge]:
     """Standardised ridge on the 16 temperatures, strength chosen by the same inner hold-out."""
     names = tuple(f"t{k}" for k in range(1, 17))
-    rise_K = rise_since(spindle.temperature_degC, spindle.temperature_degC[0])
+    rise_K = spindle.temperature_degC - spindle.temperature_degC[0]
     return rise_K, HistoryRidge({"temperature": names}, ((BlockUse("temperature", 1.0, "each"),),))
 
 

@@ -14,8 +14,8 @@ Errors on left-out rows come from one decomposition `Z = U s Vᵀ` a candidate, 
 matrix `H = U s² / (s² + n λ) Uᵀ` the rows c that are left out together keep `e_c = (1 - H_cc)⁻¹ (y - H y)_c`, exactly
 (the blockwise form of PRESS: Allen, Technometrics 16, 1974; Golub, Heath and Wahba, Technometrics 21, 1979).
 
-There is no intercept. The error is zero at the reference by definition (the datum is set there), so inputs must be
-differences from the reference row; see `rise_since`.
+There is no intercept. The error is zero at the reference by definition (the datum is set there), so inputs must count
+from the reference row (`InputLayout.since`).
 """
 
 from __future__ import annotations
@@ -100,11 +100,6 @@ def _candidate(
         uses += [BlockUse(f"speed^{powers[-1]} x rise {tau_s:g} s", width, scale) for tau_s in taus_s]
     uses += [BlockUse(f"rise x {factor}", 0.2, scale) for factor in factors]
     return tuple(uses)
-
-
-def rise_since(inputs: Floats, reference: Floats) -> Floats:
-    """Inputs (n, inputs) as differences from the reference row (inputs,): zero where the error is zero."""
-    return np.asarray(inputs) - np.asarray(reference)
 
 
 @dataclass(frozen=True)
