@@ -172,6 +172,17 @@ def test_band_goes_through_json_unchanged(bands: list[Calibrated]) -> None:
     assert stored.validate_json(stored.dump_json(band)) == band
 
 
+@pytest.mark.parametrize(("campaigns", "is_a_score"), [(19, True), (18, False)])
+def test_as_many_campaigns_as_the_level_needs_give_a_quantile_of_the_scores(campaigns: int, is_a_score: bool) -> None:
+    """m / (m + 1) = 0.95 at m = 19; with fewer the quantile is that of an assumed distribution."""
+    rng = np.random.default_rng(11)
+    campaign = np.repeat(np.arange(campaigns), 20)
+    rows = HeldOut(rng.normal(size=len(campaign)), rng.uniform(0.0, 2.0, len(campaign)), campaign)
+    band = calibrate_band(rows)
+    scores = np.abs(rows.residual_um) / replace(band, quantile=1.0).half_width_um(rows.leverage, 0.0)
+    assert bool(np.isclose(scores, band.quantile or 0.0, rtol=1e-9).any()) == is_a_score
+
+
 def test_left_out_coefficients_have_not_seen_their_campaign() -> None:
     rng = np.random.default_rng(4)
     known = synthetic_machine(rng).record(rng, 4, WINTER)
