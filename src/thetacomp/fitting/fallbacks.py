@@ -11,6 +11,7 @@ from thetacomp.arrays import Floats, Ints
 from thetacomp.axis_states import AxisStates
 from thetacomp.errors import AnalysisError
 from thetacomp.fitting.calibrated import CalibratedHistory, component, left_out_um
+from thetacomp.fitting.conformal import as_tuple
 from thetacomp.fitting.history_model import history_procedure
 from thetacomp.fitting.key_point_law import ELAPSED_TIME, AxisModel, Procedure
 from thetacomp.model.document import Accuracy, AxisLaw, Fallback
@@ -134,12 +135,11 @@ def _history_fallback(states: AxisStates, whole: CalibratedHistory, lost: str) -
         factor = max(1.0, known.without_rms_um / known.full_rms_um) if known.full_rms_um > 0 else 1.0
         band = replace(full, quantile=factor * (full.quantile or 0.0))
         accuracy[name], components[name] = known, component(rest, model, k, band)
-    reference = whole.document.reference
-    zero = tuple(float(value) for value in rest.reference_history[0])
+    zero = as_tuple(rest.reference_history[0])
     return Fallback(
         lost=lost,
         layout=model.layout,
-        reference=reference.model_copy(update={"inputs": zero}),
+        reference=whole.document.reference.model_copy(update={"inputs": zero}),
         components=components,
         accuracy=accuracy,
     )

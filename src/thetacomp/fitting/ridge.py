@@ -204,7 +204,7 @@ class HistoryRidge(Regressor):
         """
         rows = Stretches.of(*self._checked(X, y, groups))
         if like is not None:
-            weight = np.array([dict(zip(like.groups_, like.group_weights_, strict=True))[g] for g in rows.labels])
+            weight = like.group_weights_[np.searchsorted(like.groups_, rows.labels)]
             averaged = self._average(rows, weight, like)
         else:
             weight = np.ones(len(rows.labels))
